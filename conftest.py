@@ -19,7 +19,7 @@ def pytest_collection_finish() -> None:  # not before coverage has begun
     """Processes that test at the same time share the cores."""
     n_workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     if n_workers > 1:
-        from conformodal.networks.torch_backbone import limit_threads
+        from conformodal.features.networks.torch_backbone import limit_threads
 
         limit_threads(max(1, (os.cpu_count() or 1) // n_workers))
 
@@ -64,7 +64,7 @@ class SmallWorld:
 @pytest.fixture(scope="session")
 def small_corridor(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A corridor of three modules flown once."""
-    from conformodal.datasets.corridor import write_corridor
+    from conformodal.corridor import write_corridor
 
     folder = tmp_path_factory.mktemp("small") / "corridor"
     write_corridor(folder, n_modules=3, n_laps=1, seed=3)

@@ -48,37 +48,37 @@ from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
 from conformodal.conformal import SplitConformal
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.files import default_cache_dir
-from conformodal.datasets import Sequence, SplitKind, held_out_together, read_sequence, read_sevenscenes
-from conformodal.datasets.corridor.writer import write_corridor
-from conformodal.localization.evidence import FrameEvidence
-from conformodal.localization.landmarks.source import LandmarkSource
-from conformodal.localization.local_features import LocalFeatures, Matcher, extract_local_features
-from conformodal.localization.localizer import Localizer
-from conformodal.localization.motions import MotionRecord, measure_motions
-from conformodal.localization.neighbours.source import NeighbourSource
-from conformodal.localization.neighbours.tuning import fit_local
-from conformodal.localization.source import PoseSource
-from conformodal.localization.source_data import SourceData
-from conformodal.localization.targets import pose_targets, target_scale
-from conformodal.model.config import Calibration, ModelConfig
-from conformodal.model.model import Localization, PoseModel
-from conformodal.model.region_rules import RegionRules
-from conformodal.model.store import load_model, save_model
-from conformodal.motion.frontend import EssentialFrontEnd
-from conformodal.poses import Trajectory, trajectory_errors
-from conformodal.reasoning.candidates import interval_runs
-from conformodal.reasoning.filter import filter_posteriors, hindsight_posteriors
-from conformodal.reasoning.greedy import greedy
-from conformodal.reasoning.observations import Observations, PosePath
-from conformodal.reasoning.places import choose_places, own_hypotheses
-from conformodal.reasoning.smoother import smooth
-from conformodal.running.paper_odometry import PaperOdometry
-from conformodal.running.results.provenance import provenance
-from conformodal.training.calibrating import score_beliefs
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.backbone import BackboneConfig, feature_views
-from conformodal.vision.features import FeatureCache
-from conformodal.vision.settings import TrainingConfig
+from conformodal.corridor.writer import write_corridor
+from conformodal.features.backbone import BackboneConfig, feature_views
+from conformodal.features.extract import FeatureCache
+from conformodal.features.local import LocalFeatures, Matcher, extract_local_features
+from conformodal.features.settings import TrainingConfig
+from conformodal.geometry import Trajectory, trajectory_errors
+from conformodal.io import Recording, SplitKind, held_out_together, read_recording, read_sevenscenes
+from conformodal.localizer.candidates import interval_runs
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
+from conformodal.localizer.greedy import greedy
+from conformodal.localizer.localizer import Localizer
+from conformodal.localizer.observations import Observations, PosePath
+from conformodal.localizer.places import choose_places, own_hypotheses
+from conformodal.localizer.region_rules import RegionRules
+from conformodal.localizer.smoother import smooth
+from conformodal.localizer.sources.landmarks import LandmarkSource
+from conformodal.localizer.sources.neighbours.source import NeighbourSource
+from conformodal.localizer.sources.neighbours.tuning import fit_local
+from conformodal.localizer.sources.registry import PoseSource
+from conformodal.localizer.sources.source_data import SourceData
+from conformodal.localizer.targets import pose_targets, target_scale
+from conformodal.pipeline.calibrate import score_beliefs
+from conformodal.pipeline.config import Calibration, ModelConfig
+from conformodal.pipeline.model import Localization, PoseModel
+from conformodal.pipeline.paper_odometry import PaperOdometry
+from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.store import load_model, save_model
+from conformodal.pipeline.train import prepare_training_data, train_model
+from conformodal.tracking.frontend import EssentialFrontEnd
+from conformodal.tracking.motions import MotionRecord, measure_motions
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -242,12 +242,12 @@ class Models:
         self._matcher, self._fit_landmarks = Matcher(), LandmarkSource.fit
         self._maps: dict[bytes, LandmarkSource | None] = {}
 
-    def _sequence(self) -> Sequence:
+    def _sequence(self) -> Recording:
         if self.place in KITCHENS:
             return read_sevenscenes(REDKITCHEN)
         if self.place in SPARSE:
             own = {"TUM cabinet": DATA / "tum" / "fr3_cabinet", "KITTI 06": DATA / "kitti" / "sequences" / "06"}
-            return read_sequence(own[self.place])
+            return read_recording(own[self.place])
         if not (self.folder / "world.done").is_file():
             write_corridor(self.folder / "world", n_modules=N_MODULES, n_laps=N_LAPS, seed=self.seed)
             (self.folder / "world.done").touch()
@@ -303,7 +303,7 @@ class Models:
 class Frames:
     """The frames of a recording that are answered, and their relative motion."""
 
-    def __init__(self, sequence: Sequence, test: IntArray, interval_s: float = 0.0) -> None:
+    def __init__(self, sequence: Recording, test: IntArray, interval_s: float = 0.0) -> None:
         self.sequence = sequence
         self.frames = spaced(sequence.timestamps_s, test, interval_s) if interval_s else test
         self.motions = measure_motions(sequence, self.frames)

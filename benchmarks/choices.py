@@ -24,8 +24,7 @@ from ablation import ALL, EVERY, Frames, Models, Paths
 from common import ROOT, write_table
 from joblib import Parallel, delayed
 
-from conformodal.localization.settings import BELIEF
-from conformodal.reasoning.settings import CANDIDATES, FILTER
+from conformodal.localizer.settings import BELIEF, CANDIDATES, FILTER
 
 PLACES = ("redkitchen, interleaved", "redkitchen, blocks", "corridor")
 # By the settings' object and attribute: other values than the present one.

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from conformodal.datasets import Sequence
-from conformodal.poses import RelativeMotion
-from conformodal.reasoning.prior import MotionPrior
-from conformodal.running.results.provenance import provenance
+from conformodal.geometry import RelativeMotion
+from conformodal.io import Recording
+from conformodal.localizer.prior import MotionPrior
+from conformodal.pipeline.results.provenance import provenance
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("CONFORMODAL_DATA", ROOT.parent / "shared" / "data"))
@@ -68,13 +68,13 @@ def cached_json(file: Path, measure: Callable[[], Any]) -> Any:
     return json.loads(file.read_text(encoding="utf-8"))
 
 
-def train_briefly(sequence: Sequence, folder: Path, *sources: str) -> Path:
+def train_briefly(sequence: Recording, folder: Path, *sources: str) -> Path:
     """Save a model whose training is short: that does not change how fast it is."""
-    from conformodal.model.config import ModelConfig  # noqa: PLC0415 - torch
-    from conformodal.model.store import save_model  # noqa: PLC0415
-    from conformodal.training.training import prepare_training_data, train_model  # noqa: PLC0415
-    from conformodal.vision.features import FeatureCache  # noqa: PLC0415
-    from conformodal.vision.settings import TrainingConfig  # noqa: PLC0415
+    from conformodal.features.extract import FeatureCache  # noqa: PLC0415
+    from conformodal.features.settings import TrainingConfig  # noqa: PLC0415
+    from conformodal.pipeline.config import ModelConfig  # noqa: PLC0415 - torch
+    from conformodal.pipeline.store import save_model  # noqa: PLC0415
+    from conformodal.pipeline.train import prepare_training_data, train_model  # noqa: PLC0415
 
     config = ModelConfig(sources=sources or ModelConfig().sources, training=TrainingConfig(epochs=5))
     save_model(train_model(prepare_training_data(sequence, config, FeatureCache(None)), config), folder)

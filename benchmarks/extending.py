@@ -16,30 +16,30 @@ import numpy as np
 from common import DATA, REDKITCHEN, RESULTS, cached_json, write_table
 
 from conformodal.core.files import default_cache_dir
-from conformodal.datasets import Sequence, SplitKind, read_sequence
-from conformodal.datasets.joining import join_sequences
-from conformodal.localization.evidence import FrameEvidence
-from conformodal.localization.local_features import frame_features
-from conformodal.localization.targets import pose_targets
-from conformodal.model.config import ModelConfig
-from conformodal.model.model import PoseModel
-from conformodal.training.extending import extend_model
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache, extract_features
+from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.io import Recording, SplitKind, read_recording
+from conformodal.io.joining import join_recordings
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.targets import pose_targets
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.extending import extend_model
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.train import prepare_training_data, train_model
+from conformodal.tracking.flow import frame_features
 
 PAIRS = ("redkitchen, halves", "fr1_desk, then fr1_xyz")
 
 
-def pair(name: str) -> tuple[Sequence, Sequence]:
+def pair(name: str) -> tuple[Recording, Recording]:
     """The recording that is mapped first, and the one that is added."""
     if name == PAIRS[1]:
-        return read_sequence(DATA / "tum" / "fr1_desk"), read_sequence(DATA / "tum" / "fr1_xyz")
-    whole = read_sequence(REDKITCHEN.parent)
+        return read_recording(DATA / "tum" / "fr1_desk"), read_recording(DATA / "tum" / "fr1_xyz")
+    whole = read_recording(REDKITCHEN.parent)
     half = len(whole) // 2
     return part_of(whole, slice(half)), part_of(whole, slice(half, None))
 
 
-def part_of(sequence: Sequence, rows: slice) -> Sequence:
+def part_of(sequence: Recording, rows: slice) -> Recording:
     """Some frames of a sequence."""
     return replace(
         sequence,
@@ -63,7 +63,7 @@ def measured(name: str, seed: int) -> dict[str, dict[str, float]]:
     first, second = pair(name)
     cache, config = FeatureCache(default_cache_dir()), ModelConfig(split=SplitKind.BLOCKS, seed=seed)
     data = prepare_training_data(first, config, cache)
-    both = prepare_training_data(join_sequences([first, second]), config, cache)  # all features are cached then
+    both = prepare_training_data(join_recordings([first, second]), config, cache)  # all features are cached then
     model, seconds = timed(lambda: train_model(data, config))
     more, added = timed(lambda: extend_model(model, second, cache))
     both = replace(both, split=more.split)  # which holds out the same frames
@@ -85,7 +85,7 @@ def measured(name: str, seed: int) -> dict[str, dict[str, float]]:
     }
 
 
-def answered(model: PoseModel, sequence: Sequence, frames: np.ndarray, cache: FeatureCache) -> dict[str, float]:
+def answered(model: PoseModel, sequence: Recording, frames: np.ndarray, cache: FeatureCache) -> dict[str, float]:
     """Errors of the most probable pose of each image, and coverage and size of its region."""
     features = extract_features([sequence.image_paths[i] for i in frames], model.backbone, cache)
     local = [frame_features(sequence, i) for i in frames.tolist()]

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 from common import DATA, REDKITCHEN, write_table
 
-from conformodal.datasets import DatasetError, DatasetWarning, Sequence, read_sequence
-from conformodal.datasets.convention import FITTED, with_fitted_focal
-from conformodal.poses import PinholeCamera
+from conformodal.geometry import PinholeCamera
+from conformodal.io import DatasetError, DatasetWarning, Recording, read_recording
+from conformodal.io.convention import FITTED, with_fitted_focal
 
 # Pixels: redkitchen's by COLMAP (Brachmann et al. 2021), the others' by TUM, the mean of fx and fy of a camera with
 # distortion.
@@ -26,7 +26,7 @@ RECORDINGS = {
 QUARTERS = 4
 
 
-def part_of(sequence: Sequence, frames: np.ndarray) -> Sequence:
+def part_of(sequence: Recording, frames: np.ndarray) -> Recording:
     """Some frames, by a camera of which only the size is known."""
     width, height = sequence.camera.width, sequence.camera.height
     return replace(
@@ -41,7 +41,7 @@ def part_of(sequence: Sequence, frames: np.ndarray) -> Sequence:
     )
 
 
-def row_of(name: str, sequence: Sequence, true_px: float) -> list[str]:
+def row_of(name: str, sequence: Recording, true_px: float) -> list[str]:
     head = [name, str(len(sequence)), f"{true_px:g}"]
     try:
         fitted = with_fitted_focal(sequence)
@@ -61,7 +61,7 @@ def main() -> None:
     warnings.simplefilter("ignore", DatasetWarning)
     rows = []
     for name, (folder, true_px) in RECORDINGS.items():
-        sequence = read_sequence(folder)
+        sequence = read_recording(folder)
         every = np.arange(len(sequence))
         rows.append(row_of(name, part_of(sequence, every), true_px))
         quarters = np.array_split(every, QUARTERS)

@@ -26,18 +26,20 @@ from common import DATA, write_table
 
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.files import default_cache_dir
-from conformodal.datasets import Disturbance, Sequence, read_sequence
-from conformodal.datasets.joining import near_known
-from conformodal.localization import local_features
-from conformodal.localization.landmarks import keyframes, mapping
-from conformodal.localization.local_features import LocalFeatures, extract_local_features, frame_features
-from conformodal.localization.settings import GUIDING, LOCAL_FEATURES
-from conformodal.model.config import ModelConfig
-from conformodal.motion.two_view import undistort
-from conformodal.training.depths import measure_depths
-from conformodal.training.training import prepare_training_data
-from conformodal.vision.backbone import global_descriptors
-from conformodal.vision.features import FeatureCache, extract_features
+from conformodal.features import local as local_features
+from conformodal.features.backbone import global_descriptors
+from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.features.local import LocalFeatures, extract_local_features
+from conformodal.features.settings import LOCAL_FEATURES
+from conformodal.geometry.undistortion import undistort
+from conformodal.io import Disturbance, Recording, read_recording
+from conformodal.io.joining import near_known
+from conformodal.localizer.settings import GUIDING
+from conformodal.localizer.sources import keyframes, mapping
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.depths import measure_depths
+from conformodal.pipeline.train import prepare_training_data
+from conformodal.tracking.flow import frame_features
 
 KITCHEN, DESK, XYZ = "7scenes/redkitchen", "tum/fr1_desk", "tum/fr1_xyz"
 PARTS = [(KITCHEN, 0), *((DESK, third) for third in range(3))]
@@ -55,7 +57,7 @@ def sift(image: Any, camera: Any) -> LocalFeatures:
 
 
 def match_sift(one: Any, other: Any) -> IntArray:
-    """As :func:`~conformodal.localization.local_features.match`, by Euclidean distance and a ratio of 0.8."""
+    """As :func:`~conformodal.features.local.match`, by Euclidean distance and a ratio of 0.8."""
     if len(one) == 0 or len(other) < 2:
         return np.empty((0, 2), np.int64)
     a, b = one.astype(np.float32), other.astype(np.float32)
@@ -93,7 +95,7 @@ VARIANTS: dict[str, tuple[bool, Callable[[], Any]]] = {  # whether the network r
 }
 
 
-def split(known: Sequence, new: Sequence, third: int | None) -> tuple[IntArray, IntArray]:
+def split(known: Recording, new: Recording, third: int | None) -> tuple[IntArray, IntArray]:
     """Frames that are mapped, and those that are localised: all have a known view within 0.3 m and 30 degrees."""
     n = len(new)
     out = np.arange(n) if third is None else np.arange(third * n // 3, (third + 1) * n // 3)
@@ -105,7 +107,7 @@ def split(known: Sequence, new: Sequence, third: int | None) -> tuple[IntArray, 
 
 def errors(source: str, target: str, third: int | None) -> dict[tuple[str, bool], tuple[FloatArray, float]]:
     """By variant and whether images are disturbed: errors in metres, inf where there is none, and ms per image."""
-    known, new, cache = read_sequence(DATA / source), read_sequence(DATA / target), FeatureCache(default_cache_dir())
+    known, new, cache = read_recording(DATA / source), read_recording(DATA / target), FeatureCache(default_cache_dir())
     mapped, asked = split(known, new, third)
     data = prepare_training_data(known, ModelConfig(), cache)
     found: dict[tuple[str, bool], tuple[FloatArray, float]] = {}

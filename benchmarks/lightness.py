@@ -19,9 +19,9 @@ import torch
 from common import REDKITCHEN, in_process, table_lines, train_briefly, write_page
 from torch import nn
 
-from conformodal.datasets import read_sevenscenes
-from conformodal.networks.exporting import OPSET
-from conformodal.networks.torch_backbone import TorchBackbone, backbone_config
+from conformodal.features.export import OPSET
+from conformodal.features.networks.torch_backbone import TorchBackbone, backbone_config
+from conformodal.io import read_sevenscenes
 
 DROP_PATH = 0.2  # EfficientNet's own rate, of its last block
 JOULES = Path("/sys/class/powercap")

@@ -15,15 +15,15 @@ import onnxruntime
 from scipy.special import erf, softmax
 from stream_row import peak_mb
 
-from conformodal.datasets import THUMBNAIL, read_image, thumbnail
-from conformodal.localization.evidence import FrameEvidence
-from conformodal.localization.head_source import HeadSource
-from conformodal.model.model import PoseModel
-from conformodal.model.store import load_model
-from conformodal.reasoning.filter import PoseFilter
-from conformodal.running.estimator import VisualOdometry
-from conformodal.vision.head import SoftmaxHead
-from conformodal.vision.onnx_backbone import OnnxBackbone
+from conformodal.features.head import SoftmaxHead
+from conformodal.features.onnx_backbone import OnnxBackbone
+from conformodal.io import THUMBNAIL, read_image, thumbnail
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.filter import PoseFilter
+from conformodal.localizer.sources.head import HeadSource
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.store import load_model
 
 WARM, PASSES, MEMBERS = 10, 30, 5
 Image = np.ndarray

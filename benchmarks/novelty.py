@@ -13,11 +13,11 @@ from common import write_table
 from unseen import ALPHA, corridor_flights
 
 from conformodal.core.files import default_cache_dir
-from conformodal.model.config import ModelConfig
-from conformodal.model.place_novelty import PlaceNovelty
-from conformodal.training.folds import make_folds
-from conformodal.training.training import prepare_training_data
-from conformodal.vision.features import FeatureCache, extract_features
+from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.localizer.novelty import PlaceNovelty
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.folds import make_folds
+from conformodal.pipeline.train import prepare_training_data
 
 SEEDS = (20, 21, 22)
 LEVELS = (0.005, 0.01, 0.015, 0.02, 0.03, 0.05)

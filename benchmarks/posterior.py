@@ -16,14 +16,14 @@ from ablation import Models
 from common import RESULTS, ROOT, SEEDS, cached_json, mean_interval, write_table
 
 from conformodal.core.arrays import FloatArray, rows_by_label
-from conformodal.localization.regions import PoseRegions
-from conformodal.localization.targets import pose_targets
-from conformodal.model.model import LAGGED, PoseModel
-from conformodal.reasoning.filter import Window, filter_posteriors
-from conformodal.reasoning.places import choose_places, same_place
-from conformodal.reasoning.settings import FILTER
-from conformodal.running.estimates import OdometryRun
-from conformodal.running.estimator import VisualOdometry
+from conformodal.localizer.filter import Window, filter_posteriors
+from conformodal.localizer.places import choose_places, same_place
+from conformodal.localizer.regions import PoseRegions
+from conformodal.localizer.settings import FILTER
+from conformodal.localizer.targets import pose_targets
+from conformodal.pipeline.estimates import OdometryRun
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.model import LAGGED, PoseModel
 
 PLACES = {"corridor": "ours", "redkitchen, blocks": "stretches"}  # with the model, by what calibrates it
 FAR_M, ALPHA = 0.3, 0.1

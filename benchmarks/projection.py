@@ -20,12 +20,12 @@ import torch
 from common import DATA, REDKITCHEN, half_width, seconds_of, spread, write_table
 
 from conformodal.core.arrays import FloatArray
-from conformodal.datasets import Sequence, SplitKind, read_sequence, read_sevenscenes
-from conformodal.model.config import ModelConfig
-from conformodal.networks.heads import fit_head, soft_cross_entropy
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache
-from conformodal.vision.settings import TrainingConfig
+from conformodal.features.extract import FeatureCache
+from conformodal.features.heads import fit_head, soft_cross_entropy
+from conformodal.features.settings import TrainingConfig
+from conformodal.io import Recording, SplitKind, read_recording, read_sevenscenes
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.train import prepare_training_data, train_model
 from experiments.regressors import train_tuned
 
 COMPONENTS = {"with": 256, "without": None}
@@ -42,7 +42,7 @@ def head_seconds(n: int, components: int | None, seed: int) -> float:
     return seconds_of(lambda: fit_head(x, y, BINS, soft_cross_entropy, config))
 
 
-def regressor(sequence: Sequence, config: ModelConfig, cache: FeatureCache) -> tuple[float, float]:
+def regressor(sequence: Recording, config: ModelConfig, cache: FeatureCache) -> tuple[float, float]:
     """RMSE of the tuned regressor's positions on the test part, and the seconds of its search."""
     data = prepare_training_data(sequence, config, cache)
     found = []
@@ -74,7 +74,7 @@ def main() -> None:
             of = {k: [head_seconds(n, c, seed) for seed in asked.seeds] for k, c in COMPONENTS.items()}
             row(f"one head, {n} frames", "s", of, 1)
         redkitchen = read_sevenscenes(REDKITCHEN)
-        cabinet = read_sequence(DATA / "tum" / "fr3_cabinet")
+        cabinet = read_recording(DATA / "tum" / "fr3_cabinet")
         prepare_training_data(redkitchen, ModelConfig(), cache)  # features are cached from here on
         ours: dict[str, list[float]] = {k: [] for k in COMPONENTS}
         for seed in asked.seeds:

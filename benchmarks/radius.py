@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import grouped_quantile
 from conformodal.core.arrays import FloatArray
-from conformodal.model.radius import METRES_PER_RAD, Guarantee, fit_pose_radius, joint_error, pose_errors
-from conformodal.poses import Trajectory
+from conformodal.geometry import Trajectory
+from conformodal.localizer.radius import METRES_PER_RAD, Guarantee, fit_pose_radius, joint_error, pose_errors
 
 Poses = dict[str, dict[int, FloatArray]]  # by recording and frame: quaternion and translation, world to camera
 

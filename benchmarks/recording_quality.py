@@ -17,19 +17,19 @@ import numpy as np
 from common import REDKITCHEN, ROOT, cached_json, table_lines, write_page
 
 from conformodal.core.files import default_cache_dir
-from conformodal.datasets import SplitKind, read_sevenscenes
-from conformodal.localization.source_data import SourceData
-from conformodal.model.config import Calibration, ModelConfig
-from conformodal.model.radius import depth_or_default
-from conformodal.poses import position_errors_m
+from conformodal.features.extract import FeatureCache
+from conformodal.geometry import position_errors_m
+from conformodal.io import SplitKind, read_sevenscenes
+from conformodal.localizer.radius import depth_or_default
+from conformodal.localizer.sources.source_data import SourceData
+from conformodal.pipeline.config import Calibration, ModelConfig
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.train import prepare_training_data, train_model
+from conformodal.pipeline.training_data import TrainingData
 from conformodal.quality.place_ambiguity import most_probable
 from conformodal.quality.settings import QUALITY
 from conformodal.quality.view_coverage import ViewScale, pose_coverage
-from conformodal.running.estimator import VisualOdometry
-from conformodal.running.results.provenance import provenance
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.training.training_data import TrainingData
-from conformodal.vision.features import FeatureCache
 
 LARGE_M = 0.1
 PATH, ALONE = "the path", "one frame alone"

@@ -21,15 +21,15 @@ from scipy.stats import chi2
 
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.files import default_cache_dir
-from conformodal.datasets import Sequence, SplitKind, read_sequence
-from conformodal.datasets.joining import near_known
-from conformodal.localization.targets import pose_targets
-from conformodal.model.config import Method, ModelConfig
-from conformodal.model.store import load_model, save_model
-from conformodal.running.estimates import OdometryRun
-from conformodal.running.paper_odometry import odometry_of
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache
+from conformodal.features.extract import FeatureCache
+from conformodal.io import Recording, SplitKind, read_recording
+from conformodal.io.joining import near_known
+from conformodal.localizer.targets import pose_targets
+from conformodal.pipeline.config import Method, ModelConfig
+from conformodal.pipeline.estimates import OdometryRun
+from conformodal.pipeline.paper_odometry import odometry_of
+from conformodal.pipeline.store import load_model, save_model
+from conformodal.pipeline.train import prepare_training_data, train_model
 
 PAIRS = (("fr1_desk", "fr1_xyz"), ("fr1_xyz", "fr1_desk"))
 NEAR_M, NEAR_RAD, ALPHA = 0.3, np.radians(30.0), 0.1
@@ -39,9 +39,9 @@ TIMED, FAR_M = 60, 0.3  # frames whose time is taken; a large error
 MOST_ASKED = 100  # images that the peer answers, evenly spread
 
 
-def _sequences(source: str, target: str) -> tuple[Sequence, Sequence, BoolArray]:
+def _sequences(source: str, target: str) -> tuple[Recording, Recording, BoolArray]:
     """Both recordings, and which posed frames of the second lie near a frame of the first."""
-    known, new = (read_sequence(DATA / "tum" / name) for name in (source, target))
+    known, new = (read_recording(DATA / "tum" / name) for name in (source, target))
     near = near_known(new.poses, known.require_truth(), NEAR_M, NEAR_RAD)
     return known, new, near
 
@@ -99,7 +99,7 @@ def _errors(off: FloatArray) -> dict[str, float]:
     }
 
 
-def _ms_per_frame(model: Any, new: Sequence, run: OdometryRun, near: BoolArray) -> float:
+def _ms_per_frame(model: Any, new: Recording, run: OdometryRun, near: BoolArray) -> float:
     """CPU time of a frame of a stream, without reading the image, over the first frames near known ones."""
     odometry, spent = odometry_of(model), []
     for i in run.frames[near][:TIMED].tolist():

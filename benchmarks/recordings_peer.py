@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from sklearn.cluster import KMeans
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.datasets import Sequence
-from conformodal.motion.two_view import undistort
+from conformodal.geometry.undistortion import undistort
+from conformodal.io import Recording
 
 EVERY, KEYPOINTS, WORDS, RETRIEVED, MIN_INLIERS = 3, 2000, 64, 10, 12
 RATIO, PAIRED, APART_M, TURNED_RAD = 0.8, 10, 0.05, np.radians(35.0)
@@ -57,7 +57,7 @@ class PeerAnswers(NamedTuple):
     ms: FloatArray  # (m,) without reading the image
 
 
-def build_maps(known: Sequence, folder: Path) -> dict[str, PeerMap]:
+def build_maps(known: Recording, folder: Path) -> dict[str, PeerMap]:
     """Maps of a recording with the given poses, and with refined ones; kept in a folder."""
     if not (folder / "refined.npz").is_file():
         folder.mkdir(parents=True, exist_ok=True)
@@ -66,7 +66,7 @@ def build_maps(known: Sequence, folder: Path) -> dict[str, PeerMap]:
     return {name: PeerMap(**np.load(folder / f"{name}.npz")) for name in ("fixed", "refined")}
 
 
-def answers(maps: dict[str, PeerMap], new: Sequence, frames: IntArray) -> dict[str, PeerAnswers]:
+def answers(maps: dict[str, PeerMap], new: Recording, frames: IntArray) -> dict[str, PeerAnswers]:
     """Localise images of a recording in each of the maps, each image alone."""
     sift, found = _sift(), {}
     for name in maps:
@@ -93,14 +93,14 @@ def _sift() -> Any:
     return pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
 
 
-def _features(sift: Any, image: Any, sequence: Sequence) -> Features:
+def _features(sift: Any, image: Any, sequence: Recording) -> Features:
     keypoints, found = sift.extract_from_uint8_array(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
     pixels = pycolmap.keypoints_to_matrix(keypoints)[:, :2].astype(float) - 0.5  # COLMAP counts from the corner
     rows = np.asarray(found.data, np.float32)
     return Features(undistort(pixels, sequence.camera), rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
 
-def _camera(sequence: Sequence, focal: FloatArray) -> Any:
+def _camera(sequence: Recording, focal: FloatArray) -> Any:
     its = sequence.camera
     parameters = [*focal, its.cx + 0.5, its.cy + 0.5]
     return pycolmap.Camera(model="PINHOLE", width=its.width, height=its.height, params=parameters, camera_id=1)
@@ -133,7 +133,7 @@ def _pairs(poses_se3: FloatArray) -> list[tuple[int, int]]:
     return sorted(found)
 
 
-def _built(known: Sequence, folder: Path) -> dict[str, PeerMap]:
+def _built(known: Recording, folder: Path) -> dict[str, PeerMap]:
     began, frames = time.process_time(), known.posed[::EVERY]
     poses_se3 = known.poses.poses_se3[::EVERY]
     sift, camera = _sift(), _camera(known, np.array([known.camera.fx, known.camera.fy]))

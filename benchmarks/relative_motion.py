@@ -17,11 +17,11 @@ import numpy as np
 from common import DATA, REDKITCHEN, write_table
 from scipy.spatial.transform import Rotation
 
-from conformodal.datasets import Sequence, read_sevenscenes
-from conformodal.datasets.corridor.writer import write_corridor
-from conformodal.motion.frontend import MotionFrontEnd
-from conformodal.motion.two_view import TwoViewSolver, solve_opencv, solve_poselib
-from conformodal.poses import PinholeCamera, RelativeMotion, Trajectory
+from conformodal.corridor.writer import write_corridor
+from conformodal.geometry import PinholeCamera, RelativeMotion, Trajectory
+from conformodal.io import Recording, read_sevenscenes
+from conformodal.tracking.frontend import MotionFrontEnd
+from conformodal.tracking.two_view import TwoViewSolver, solve_opencv, solve_poselib
 
 N_FRAMES = 1000
 PARTS = ("flow", "geometry", "corners")
@@ -50,7 +50,7 @@ class TimedFrontEnd(MotionFrontEnd):
 
 
 def measure(
-    sequence: Sequence, stride: int, solver: TwoViewSolver
+    sequence: Recording, stride: int, solver: TwoViewSolver
 ) -> tuple[list[tuple[int, RelativeMotion]], float, str]:
     front_end = TimedFrontEnd(sequence.camera, solver)
     found = []
@@ -76,7 +76,7 @@ def jitter_m(truth: Trajectory) -> float:
 
 
 def row(
-    name: str, sequence: Sequence, stride: int, solver: TwoViewSolver = solve_poselib, jitter: float = 0.0
+    name: str, sequence: Recording, stride: int, solver: TwoViewSolver = solve_poselib, jitter: float = 0.0
 ) -> list[str]:
     poses = sequence.require_truth().poses_se3
     found, milliseconds, parts = measure(sequence, stride, solver)
@@ -110,12 +110,12 @@ def row(
     ]
 
 
-def with_focal_length(sequence: Sequence, focal_px: float) -> Sequence:
+def with_focal_length(sequence: Recording, focal_px: float) -> Recording:
     """The same images, believed to be of another focal length."""
     return replace(sequence, camera=replace(sequence.camera, fx=focal_px, fy=focal_px))
 
 
-def read_kitti() -> Sequence:
+def read_kitti() -> Recording:
     """KITTI odometry 06, the frames that are there; 10 Hz."""
     folder = DATA / "kitti" / "sequences" / "06"
     images = sorted((folder / "image_0").iterdir())
@@ -127,7 +127,7 @@ def read_kitti() -> Sequence:
     times = np.arange(len(images)) / 10
     camera = PinholeCamera(fx, fy, cx, cy, width, height)
     truth = Trajectory(times, poses[:, :, 3], quats)
-    return Sequence("kitti 06", tuple(images), times, np.zeros(len(images), dtype=np.int64), camera, truth)
+    return Recording("kitti 06", tuple(images), times, np.zeros(len(images), dtype=np.int64), camera, truth)
 
 
 def main() -> None:

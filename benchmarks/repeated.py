@@ -11,14 +11,14 @@ import numpy as np
 from common import REDKITCHEN, SEEDS, mean_interval, write_table
 
 from conformodal.core.files import default_cache_dir
-from conformodal.datasets import read_sevenscenes
-from conformodal.localization.targets import pose_targets
-from conformodal.model.config import ModelConfig
-from conformodal.poses import position_errors_m
-from conformodal.running.estimator import VisualOdometry
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache
-from conformodal.vision.settings import TrainingConfig
+from conformodal.features.extract import FeatureCache
+from conformodal.features.settings import TrainingConfig
+from conformodal.geometry import position_errors_m
+from conformodal.io import read_sevenscenes
+from conformodal.localizer.targets import pose_targets
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.train import prepare_training_data, train_model
 
 PARTS = ("all held-out frames", "with a picture of their own", "with the picture of a known frame")
 

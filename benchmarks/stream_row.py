@@ -15,15 +15,15 @@ from typing import Any  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from conformodal.datasets import read_image  # noqa: E402
-from conformodal.localization.landmarks import source as landmarks  # noqa: E402
-from conformodal.localization.neighbours import source as neighbours  # noqa: E402
-from conformodal.model.model import PoseModel  # noqa: E402
-from conformodal.motion.frontend import MotionFrontEnd  # noqa: E402
-from conformodal.reasoning.filter import PoseFilter  # noqa: E402
-from conformodal.running import estimator  # noqa: E402
-from conformodal.running.estimator import VisualOdometry  # noqa: E402
-from conformodal.vision.backbone import Backbone  # noqa: E402
+from conformodal.features.backbone import Backbone  # noqa: E402
+from conformodal.io import read_image  # noqa: E402
+from conformodal.localizer.filter import PoseFilter  # noqa: E402
+from conformodal.localizer.sources import landmarks  # noqa: E402
+from conformodal.localizer.sources.neighbours import source as neighbours  # noqa: E402
+from conformodal.pipeline import estimator  # noqa: E402
+from conformodal.pipeline.estimator import VisualOdometry  # noqa: E402
+from conformodal.pipeline.model import PoseModel  # noqa: E402
+from conformodal.tracking.frontend import MotionFrontEnd  # noqa: E402
 
 WARM = 10
 PARTS = ("network", "tracking and relative pose", "local features", "landmarks", "neighbours", "regions", "filter")

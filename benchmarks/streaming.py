@@ -15,13 +15,13 @@ import cv2
 import numpy as np
 from common import REDKITCHEN, in_process, train_briefly, write_table
 
-from conformodal.datasets import Sequence, read_image, read_sevenscenes
+from conformodal.io import Recording, read_image, read_sevenscenes
 
 SIZES = {"640x480": (640, 480), "1280x720": (1280, 720)}
 SOURCES = (("head", "neighbours", "landmarks"), ("head", "neighbours"))
 
 
-def enlarged(sequence: Sequence, size: tuple[int, int], folder: Path) -> Sequence:
+def enlarged(sequence: Recording, size: tuple[int, int], folder: Path) -> Recording:
     """The recording as a camera with more pixels and a wider image would have taken it."""
     camera, (width, height) = sequence.camera, size
     if (camera.width, camera.height) == size:

@@ -14,16 +14,17 @@ from common import REDKITCHEN, write_table
 from relative_motion import FOUND_FOCAL_PX, read_kitti, with_focal_length
 from scipy.spatial.transform import Rotation
 
-from conformodal.datasets import PixelNoise, Sequence, read_sevenscenes
-from conformodal.datasets.corridor.writer import write_corridor
-from conformodal.motion.submaps import build_submaps
-from conformodal.motion.tracker import CornerTracker, grey_image
+from conformodal.corridor.writer import write_corridor
+from conformodal.io import PixelNoise, Recording, read_sevenscenes
+from conformodal.io.decoding import grey_image
+from conformodal.tracking.submaps import build_submaps
+from conformodal.tracking.tracker import CornerTracker
 
 N_FRAMES = 1000
 _MEDIAN_OF_NORM3 = 1.538
 
 
-def row(name: str, sequence: Sequence, stride: int) -> list[str]:
+def row(name: str, sequence: Recording, stride: int) -> list[str]:
     truth = sequence.require_truth()
     tracker, corners, answered = CornerTracker(), [], []
     for i in range(min(N_FRAMES, len(sequence))):
@@ -68,7 +69,7 @@ def row(name: str, sequence: Sequence, stride: int) -> list[str]:
 
 def main() -> None:
     redkitchen = read_sevenscenes(REDKITCHEN)
-    noisy = Sequence(**{**vars(redkitchen), "noise": PixelNoise(0.1, 0)})
+    noisy = Recording(**{**vars(redkitchen), "noise": PixelNoise(0.1, 0)})
     refocused = with_focal_length(redkitchen, FOUND_FOCAL_PX)
     rows = [row("redkitchen", redkitchen, 1), row("redkitchen", redkitchen, 5), row("redkitchen, noise 0.1", noisy, 5)]
     rows.append(row(f"redkitchen, focal length {FOUND_FOCAL_PX:g} px", refocused, 5))

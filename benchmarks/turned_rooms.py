@@ -18,21 +18,21 @@ from common import RESULTS, SEEDS, cached_json, mean_interval, table_lines, with
 from turned_rooms_world import ROOM_X, TurnedRooms, visiting_path
 
 from conformodal.cli.demo import ALPHA, TRAINING
-from conformodal.datasets import Sequence, read_sevenscenes
-from conformodal.datasets.corridor.render import Renderer
-from conformodal.datasets.corridor.writer import write_flight
-from conformodal.model.config import ModelConfig
-from conformodal.model.model import PoseModel
-from conformodal.poses import Trajectory, angle_between_quats
-from conformodal.reasoning.candidates import Candidates
-from conformodal.reasoning.filter import filter_posteriors, hindsight_posteriors
-from conformodal.reasoning.observations import Observations, PosePath
-from conformodal.reasoning.places import choose_places, own_hypotheses
-from conformodal.reasoning.prior import MotionPrior
-from conformodal.reasoning.smoother import smooth
-from conformodal.running.estimator import VisualOdometry
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache
+from conformodal.corridor.render import Renderer
+from conformodal.corridor.writer import write_flight
+from conformodal.features.extract import FeatureCache
+from conformodal.geometry import Trajectory, angle_between_quats
+from conformodal.io import Recording, read_sevenscenes
+from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
+from conformodal.localizer.observations import Observations, PosePath
+from conformodal.localizer.places import choose_places, own_hypotheses
+from conformodal.localizer.prior import MotionPrior
+from conformodal.localizer.smoother import smooth
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.train import prepare_training_data, train_model
 
 N_VISITS = 12
 EVERY = {"0.2 s": 2, "1 s": 10, "3 s": 30}
@@ -43,7 +43,7 @@ LEAST_MASS = 1e-6  # of a pose without any candidate nearby: what the filter kee
 Numbers = dict[str, list[float]]
 
 
-def learn(folder: Path, seed: int) -> tuple[PoseModel, Sequence, FeatureCache]:
+def learn(folder: Path, seed: int) -> tuple[PoseModel, Recording, FeatureCache]:
     """A model trained on one flight, and another flight to answer."""
     renderer = Renderer(TurnedRooms(seed))
     for k, part in enumerate(("train", "test")):

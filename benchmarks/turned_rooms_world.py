@@ -15,8 +15,8 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from conformodal.datasets.corridor.path import Waypoint, fly
-from conformodal.datasets.corridor.world import (  # fmt: skip
+from conformodal.corridor.path import Waypoint, fly
+from conformodal.corridor.world import (  # fmt: skip
     DOOR_CENTRE,
     DOOR_HEIGHT,
     HEIGHT,
@@ -27,7 +27,7 @@ from conformodal.datasets.corridor.world import (  # fmt: skip
     mesh_of,
     room,
 )
-from conformodal.poses import Trajectory
+from conformodal.geometry import Trajectory
 
 LOBBY_X, LOBBY_Y = 0.9, 2.6  # half its length and width
 ROOM_X = 2.1  # where the passage ends and the room begins

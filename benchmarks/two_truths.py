@@ -11,13 +11,13 @@ import numpy as np
 from common import DATA, REDKITCHEN, write_table
 
 from conformodal.core.arrays import IntArray
-from conformodal.datasets import Sequence, read_sevenscenes
-from conformodal.poses import Trajectory, align, orientation_errors_deg, position_errors_m
+from conformodal.geometry import Trajectory, align, orientation_errors_deg, position_errors_m
+from conformodal.io import Recording, read_sevenscenes
 
 ALIGNMENTS = ("none", "se3", "sim3")
 
 
-def colmap_truth(kitchen: Sequence) -> tuple[IntArray, Trajectory]:
+def colmap_truth(kitchen: Recording) -> tuple[IntArray, Trajectory]:
     """The frames of redkitchen that COLMAP has poses of (Brachmann et al., ICCV 2021), and these, in its own world."""
     with (DATA / "recordings" / "truth" / "sfm" / "redkitchen_seq-01.csv").open(encoding="utf-8") as file:
         rows = {

@@ -25,19 +25,19 @@ from PIL import Image
 
 from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
 from conformodal.core.files import default_cache_dir
-from conformodal.datasets import PixelNoise, Sequence, SplitKind, read_image, read_sevenscenes
-from conformodal.datasets.corridor.path import drone_path
-from conformodal.datasets.corridor.render import Renderer
-from conformodal.datasets.corridor.world import CorridorWorld
-from conformodal.datasets.corridor.writer import write_corridor, write_flight
-from conformodal.localization.belief import recognised_only
-from conformodal.localization.targets import pose_targets
-from conformodal.model.config import Calibration, ModelConfig
-from conformodal.model.model import PoseModel
-from conformodal.running.estimator import VisualOdometry
-from conformodal.running.results.provenance import provenance
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache
+from conformodal.corridor.path import drone_path
+from conformodal.corridor.render import Renderer
+from conformodal.corridor.world import CorridorWorld
+from conformodal.corridor.writer import write_corridor, write_flight
+from conformodal.features.extract import FeatureCache
+from conformodal.io import PixelNoise, Recording, SplitKind, read_image, read_sevenscenes
+from conformodal.localizer.belief import recognised_only
+from conformodal.localizer.targets import pose_targets
+from conformodal.pipeline.config import Calibration, ModelConfig
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.train import prepare_training_data, train_model
 
 KNOWN_SHARE = 0.6
 NEAR_M, FAR_SIGMAS = 0.3, 5.0
@@ -59,7 +59,7 @@ DISTURBED: dict[str, Images] = {
 }
 
 
-def part_of(sequence: Sequence, frames: np.ndarray, name: str) -> Sequence:
+def part_of(sequence: Recording, frames: np.ndarray, name: str) -> Recording:
     return replace(
         sequence,
         name=name,
@@ -70,7 +70,7 @@ def part_of(sequence: Sequence, frames: np.ndarray, name: str) -> Sequence:
     )
 
 
-def changed(sequence: Sequence, frames: np.ndarray, change: Images, folder: Path) -> Sequence:
+def changed(sequence: Recording, frames: np.ndarray, change: Images, folder: Path) -> Recording:
     """Some frames of a sequence, their images changed and written to a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -80,13 +80,13 @@ def changed(sequence: Sequence, frames: np.ndarray, change: Images, folder: Path
     return replace(part_of(sequence, frames, folder.name), image_paths=tuple(paths))
 
 
-def trained(sequence: Sequence, split: str, calibration: str, seed: int, cache: FeatureCache, **how: Any) -> PoseModel:
+def trained(sequence: Recording, split: str, calibration: str, seed: int, cache: FeatureCache, **how: Any) -> PoseModel:
     chosen = {"split": SplitKind(split), "calibrate_on": Calibration(calibration)}
     config = ModelConfig(seed=seed, alpha=ALPHA, **chosen, **how)
     return train_model(prepare_training_data(sequence, config, cache), config)
 
 
-def measured(model: PoseModel, sequence: Sequence, frames: np.ndarray | None = None) -> dict[str, Any]:
+def measured(model: PoseModel, sequence: Recording, frames: np.ndarray | None = None) -> dict[str, Any]:
     """Numbers of one run; lists over frames are stored, so that seeds can be put together."""
     started = time.perf_counter()
     run = VisualOdometry(model).process(replace(sequence, camera=model.camera), frames)
@@ -112,7 +112,7 @@ def measured(model: PoseModel, sequence: Sequence, frames: np.ndarray | None = N
     return {**found, "covered": (inside | whole).tolist(), "off_m": off.tolist(), "far": np.array(far, bool).tolist()}
 
 
-def foreign(cache: Path) -> Iterator[tuple[str, Sequence]]:
+def foreign(cache: Path) -> Iterator[tuple[str, Recording]]:
     """Frames of other data sets, brought to the model's size, without poses in its world."""
     sets = {
         "TUM fr3 cabinet": sorted((DATA / "tum" / "fr3_cabinet" / "rgb").glob("*.*")),
@@ -126,7 +126,7 @@ def foreign(cache: Path) -> Iterator[tuple[str, Sequence]]:
             Image.fromarray(cv2.resize(read_image(path), (640, 480), interpolation=cv2.INTER_AREA)).save(own[-1])
         kitchen = read_sevenscenes(REDKITCHEN)
         times, one = np.arange(len(own)) / 30.0, np.zeros(len(own), dtype=np.int64)
-        yield name, Sequence(name, tuple(own), times, one, kitchen.camera)
+        yield name, Recording(name, tuple(own), times, one, kitchen.camera)
 
 
 def redkitchen(seed: int, cache: FeatureCache, scratch: Path) -> dict[str, Any]:
@@ -152,7 +152,7 @@ def redkitchen(seed: int, cache: FeatureCache, scratch: Path) -> dict[str, Any]:
     return found
 
 
-def corridor_flights(seed: int, scratch: Path) -> tuple[Sequence, dict[str, Sequence]]:
+def corridor_flights(seed: int, scratch: Path) -> tuple[Recording, dict[str, Recording]]:
     """The known corridor, and flights that nobody trained on: known rooms, an unknown wing, other furniture."""
     world = CorridorWorld(N_MODULES, seed=seed)
     sequence = read_sevenscenes(write_corridor(scratch / "known", n_modules=N_MODULES, n_laps=N_LAPS, seed=seed))

@@ -35,13 +35,13 @@ AREAS = (7000, 8000, 9500)  # between groups
 
 def run_in_corridor(folder: Path) -> tuple[Any, Trajectory]:
     """Fly, train and answer the frames that were held out at random; the run, and the truth."""
-    from conformodal.datasets import read_sevenscenes  # noqa: PLC0415 - the table needs no camera
-    from conformodal.datasets.corridor.writer import write_corridor  # noqa: PLC0415
-    from conformodal.model.config import ModelConfig  # noqa: PLC0415
-    from conformodal.running.estimator import VisualOdometry  # noqa: PLC0415
-    from conformodal.training.training import prepare_training_data, train_model  # noqa: PLC0415
-    from conformodal.vision.features import FeatureCache  # noqa: PLC0415
-    from conformodal.vision.settings import TrainingConfig  # noqa: PLC0415
+    from conformodal.corridor.writer import write_corridor  # noqa: PLC0415
+    from conformodal.features.extract import FeatureCache  # noqa: PLC0415
+    from conformodal.features.settings import TrainingConfig  # noqa: PLC0415
+    from conformodal.io import read_sevenscenes  # noqa: PLC0415 - the table needs no camera
+    from conformodal.pipeline.config import ModelConfig  # noqa: PLC0415
+    from conformodal.pipeline.estimator import VisualOdometry  # noqa: PLC0415
+    from conformodal.pipeline.train import prepare_training_data, train_model  # noqa: PLC0415
 
     write_corridor(folder, n_modules=N_MODULES, n_laps=N_LAPS, seed=0)
     sequence = read_sevenscenes(folder)

@@ -7,15 +7,15 @@ from tempfile import TemporaryDirectory
 
 from sklearn.ensemble import ExtraTreesRegressor
 
-from conformodal.datasets import read_sevenscenes
-from conformodal.datasets.corridor.writer import write_corridor
-from conformodal.model.config import ModelConfig
-from conformodal.poses import Trajectory, normalise_quat
-from conformodal.running.estimator import VisualOdometry
-from conformodal.running.results.evaluation import error_table
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache
-from conformodal.vision.settings import TrainingConfig
+from conformodal.corridor.writer import write_corridor
+from conformodal.features.extract import FeatureCache
+from conformodal.features.settings import TrainingConfig
+from conformodal.geometry import Trajectory, normalise_quat
+from conformodal.io import read_sevenscenes
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.evaluate import error_table
+from conformodal.pipeline.train import prepare_training_data, train_model
 
 if __name__ == "__main__":
     with TemporaryDirectory() as folder:

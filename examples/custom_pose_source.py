@@ -9,15 +9,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from conformodal.datasets import read_sevenscenes
-from conformodal.datasets.corridor.writer import write_corridor
-from conformodal.localization.measurement import PoseMeasurement
-from conformodal.localization.source import SourceAnswer, SourceState, register_source
-from conformodal.model.config import ModelConfig
-from conformodal.running.estimator import VisualOdometry
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache
-from conformodal.vision.settings import TrainingConfig
+from conformodal.corridor.writer import write_corridor
+from conformodal.features.extract import FeatureCache
+from conformodal.features.settings import TrainingConfig
+from conformodal.io import read_sevenscenes
+from conformodal.localizer.measurement import PoseMeasurement
+from conformodal.localizer.sources.registry import SourceAnswer, SourceState, register_source
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.train import prepare_training_data, train_model
 
 
 @register_source

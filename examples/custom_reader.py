@@ -9,19 +9,19 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from conformodal.datasets import Sequence, read_sevenscenes
-from conformodal.datasets.corridor.render import CAMERA
-from conformodal.datasets.corridor.writer import write_corridor
-from conformodal.poses import PinholeCamera, Trajectory
+from conformodal.corridor.render import CAMERA
+from conformodal.corridor.writer import write_corridor
+from conformodal.geometry import PinholeCamera, Trajectory
+from conformodal.io import Recording, read_sevenscenes
 
 
-def read_csv_layout(file: Path, camera: PinholeCamera) -> Sequence:
+def read_csv_layout(file: Path, camera: PinholeCamera) -> Recording:
     """Columns: image, time_s, x, y, z, qw, qx, qy, qz; poses are camera to world."""
     with file.open(newline="", encoding="utf-8") as lines:
         rows = list(csv.reader(lines))[1:]
     numbers = np.array([[float(v) for v in row[1:]] for row in rows])
     times = numbers[:, 0]
-    return Sequence(
+    return Recording(
         name=file.stem,
         image_paths=tuple(file.parent / row[0] for row in rows),
         timestamps_s=times,

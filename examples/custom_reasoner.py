@@ -7,17 +7,17 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from conformodal.datasets import read_sevenscenes
-from conformodal.datasets.corridor.writer import write_corridor
-from conformodal.model.config import ModelConfig
-from conformodal.poses import trajectory_errors
-from conformodal.reasoning.observations import Observations, PosePath
-from conformodal.reasoning.prior import MotionPrior
-from conformodal.running.estimator import VisualOdometry
-from conformodal.running.paths import as_trajectory
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache
-from conformodal.vision.settings import TrainingConfig
+from conformodal.corridor.writer import write_corridor
+from conformodal.features.extract import FeatureCache
+from conformodal.features.settings import TrainingConfig
+from conformodal.geometry import trajectory_errors
+from conformodal.io import read_sevenscenes
+from conformodal.localizer.observations import Observations, PosePath
+from conformodal.localizer.prior import MotionPrior
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.paths import as_trajectory
+from conformodal.pipeline.train import prepare_training_data, train_model
 
 
 def nearest(seen: Observations, prior: MotionPrior) -> PosePath:

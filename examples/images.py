@@ -7,23 +7,23 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from conformodal.datasets import read_sequence
-from conformodal.datasets.corridor.writer import write_corridor
-from conformodal.model.config import ModelConfig
-from conformodal.model.store import save_model
+from conformodal.corridor.writer import write_corridor
+from conformodal.features.extract import FeatureCache
+from conformodal.features.settings import TrainingConfig
+from conformodal.io import read_recording
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.evaluate import coverage_table, error_table
+from conformodal.pipeline.results.statistics import RegionStatistics
+from conformodal.pipeline.store import save_model
+from conformodal.pipeline.train import prepare_training_data, train_model
 from conformodal.report.figures import plan_figure
-from conformodal.running.estimator import VisualOdometry
-from conformodal.running.results.evaluation import coverage_table, error_table
-from conformodal.running.results.statistics import RegionStatistics
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache
-from conformodal.vision.settings import TrainingConfig
 
 QUICK = ModelConfig(sources=("head", "neighbours"), training=TrainingConfig(epochs=20))  # for the corridor
 
 
 def train_and_look(data: Path, config: ModelConfig, out: Path) -> None:
-    sequence = read_sequence(data)
+    sequence = read_recording(data)
     model = train_model(prepare_training_data(sequence, config, FeatureCache(out / "cache")), config)
     save_model(model, out / "model")
     run = VisualOdometry(model).process(sequence, model.split.test)

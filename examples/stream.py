@@ -8,16 +8,16 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from conformodal.datasets import read_sevenscenes
-from conformodal.datasets.corridor.writer import write_corridor
-from conformodal.datasets.streams.opening import open_stream
-from conformodal.model.config import ModelConfig
-from conformodal.model.model import PoseModel
-from conformodal.model.store import load_model
-from conformodal.running.estimator import VisualOdometry
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache
-from conformodal.vision.settings import TrainingConfig
+from conformodal.corridor.writer import write_corridor
+from conformodal.features.extract import FeatureCache
+from conformodal.features.settings import TrainingConfig
+from conformodal.io import read_sevenscenes
+from conformodal.io.streams.opening import open_stream
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.store import load_model
+from conformodal.pipeline.train import prepare_training_data, train_model
 
 
 def small_model(folder: Path) -> PoseModel:

@@ -16,15 +16,15 @@ import numpy.typing as npt
 import torch
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.datasets import held_out_together
-from conformodal.localization.neighbours.regression import LocalSettings
-from conformodal.localization.neighbours.tuning import fit_local
-from conformodal.localization.targets import TARGET_NAMES, target_scale
-from conformodal.networks.heads import Head, Loss, fit_head, mean_squared_error, predict_values
-from conformodal.training.plain import known_frames
-from conformodal.training.training_data import TrainingData
-from conformodal.vision.backbone import feature_views
-from conformodal.vision.settings import TrainingConfig
+from conformodal.features.backbone import feature_views
+from conformodal.features.heads import Head, Loss, fit_head, mean_squared_error, predict_values
+from conformodal.features.settings import TrainingConfig
+from conformodal.io import held_out_together
+from conformodal.localizer.sources.neighbours.regression import LocalSettings
+from conformodal.localizer.sources.neighbours.tuning import fit_local
+from conformodal.localizer.targets import TARGET_NAMES, target_scale
+from conformodal.pipeline.plain import known_frames
+from conformodal.pipeline.training_data import TrainingData
 
 from .regressors import START_DROPOUT, SettingsSearch, TunedRegressor, root_mean_square
 from .tasks import ExperimentError

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from conformodal.core.ranges import as_member
-from conformodal.datasets import SplitKind
-from conformodal.model.config import Method, ModelConfig
-from conformodal.vision.settings import TrainingConfig
+from conformodal.features.settings import TrainingConfig
+from conformodal.io import SplitKind
+from conformodal.pipeline.config import Method, ModelConfig
 
 from .tasks import ExperimentError
 

@@ -18,11 +18,12 @@ from matplotlib.patches import Rectangle
 from conformodal.core.arrays import FloatArray
 from conformodal.core.files import replacing, write_whole
 from conformodal.core.words import counted
-from conformodal.model.errors import ResultsError
-from conformodal.poses import Trajectory, read_tum
+from conformodal.geometry import Trajectory
+from conformodal.io.pose_files import read_tum
+from conformodal.pipeline.errors import ResultsError
+from conformodal.pipeline.results.records import read_region_records
+from conformodal.pipeline.results.runs import read_trajectories
 from conformodal.report.figures import COLOURS, as_label, as_svg
-from conformodal.running.results.records import read_region_records
-from conformodal.running.results.runs import read_trajectories
 
 _PNG_DPI = 150
 _REACH = 1.15  # how far beyond the truth's own range a panel shows

@@ -19,21 +19,22 @@ from matplotlib.figure import Figure
 from conformodal.cli.console import print_where, progress_bars, report_errors, report_line
 from conformodal.cli.sources import Cache, Data, DataLayout
 from conformodal.core.arrays import FloatArray
-from conformodal.datasets import Layout, Sequence, SplitKind
-from conformodal.localization.evidence import FrameEvidence
-from conformodal.localization.motions import MotionRecord
-from conformodal.localization.targets import pose_targets
-from conformodal.model.config import Method, ModelConfig
-from conformodal.model.errors import ResultsError
-from conformodal.model.identity import data_digest
-from conformodal.model.store import load_model, save_model
-from conformodal.motion.tracker import CornerTracker, grey_image
-from conformodal.running.paper_odometry import odometry_of
-from conformodal.running.results.provenance import provenance
-from conformodal.running.results.runs import read_metrics, write_metrics, write_run
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.vision.features import FeatureCache, extract_features
-from conformodal.vision.settings import TrainingConfig
+from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.features.settings import TrainingConfig
+from conformodal.io import Layout, Recording, SplitKind
+from conformodal.io.decoding import grey_image
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.targets import pose_targets
+from conformodal.pipeline.config import Method, ModelConfig
+from conformodal.pipeline.errors import ResultsError
+from conformodal.pipeline.identity import data_digest
+from conformodal.pipeline.paper_odometry import odometry_of
+from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.results.runs import read_metrics, write_metrics, write_run
+from conformodal.pipeline.store import load_model, save_model
+from conformodal.pipeline.train import prepare_training_data, train_model
+from conformodal.tracking.motions import MotionRecord
+from conformodal.tracking.tracker import CornerTracker
 
 from .conditions import ALPHA, Row, run_name, task_key
 from .drawing import (
@@ -111,7 +112,7 @@ def figures(
 
 
 def bin_runs(
-    sequence: Sequence,
+    sequence: Recording,
     folder: Path,
     split: SplitKind,
     epochs: int,
@@ -159,7 +160,7 @@ class FigureWriter:
         Whose runs.
     """
 
-    def __init__(self, sequence: Sequence, out: Path, split: SplitKind, rows: Collection[Row]) -> None:
+    def __init__(self, sequence: Recording, out: Path, split: SplitKind, rows: Collection[Row]) -> None:
         self.sequence, self.out, self.split, self.rows = sequence, out, split, rows
         self.written: list[str] = []
 
@@ -206,7 +207,7 @@ def _frame_to_show(runs: Collection[StoredRun]) -> int:
     return int(np.argmax(np.where(most <= _MOST_CUBOIDS, counts.sum(axis=1), -most)))
 
 
-def steps_of(place: Path, sequence: Sequence, cache: FeatureCache) -> Steps:
+def steps_of(place: Path, sequence: Recording, cache: FeatureCache) -> Steps:
     """One frame of a run of the paper's system, and the target that has most intervals there.
 
     Of the frames whose region contains the position it is the one with most intervals in a target; if no region does,
@@ -245,7 +246,7 @@ def steps_of(place: Path, sequence: Sequence, cache: FeatureCache) -> Steps:
     return Steps(image, softmaxes, shown, (before, now), *positions, frame)
 
 
-def flow_to(sequence: Sequence, last: int) -> tuple[npt.NDArray[np.uint8], FloatArray, FloatArray]:
+def flow_to(sequence: Recording, last: int) -> tuple[npt.NDArray[np.uint8], FloatArray, FloatArray]:
     """A frame's image, and corners (m, 2) followed into it: in the frame some frames earlier, and in this one.
 
     At the beginning of a recording they are followed through the frames that there are.

@@ -18,16 +18,16 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import rows_by_label
-from conformodal.networks.heads import Head, predict_values
-from conformodal.poses import Trajectory, angle_between_quats, concatenate, normalise_quat
-from conformodal.reasoning.observations import PosePath
-from conformodal.reasoning.prior import MotionPrior
-from conformodal.reasoning.smoother import smooth
-from conformodal.running.estimates import OdometryRun
-from conformodal.running.paths import as_trajectory
-from conformodal.training.plain import PlainRegressor, fit_values, known_frames, scaling
-from conformodal.training.training_data import TrainingData
-from conformodal.vision.settings import TrainingConfig
+from conformodal.features.heads import Head, predict_values
+from conformodal.features.settings import TrainingConfig
+from conformodal.geometry import Trajectory, angle_between_quats, concatenate, normalise_quat
+from conformodal.localizer.observations import PosePath
+from conformodal.localizer.prior import MotionPrior
+from conformodal.localizer.smoother import smooth
+from conformodal.pipeline.estimates import OdometryRun
+from conformodal.pipeline.paths import as_trajectory
+from conformodal.pipeline.plain import PlainRegressor, fit_values, known_frames, scaling
+from conformodal.pipeline.training_data import TrainingData
 
 from .tasks import ExperimentError
 

@@ -19,14 +19,14 @@ import typer
 from conformodal.cli.console import print_where, progress_bars, report_errors, report_line
 from conformodal.cli.sources import Cache, Data, DataLayout, cache_folder, open_sequence
 from conformodal.core.files import write_whole, writing_in
-from conformodal.datasets import Layout, Sequence, SplitKind
-from conformodal.model.config import Method
-from conformodal.model.identity import data_digest
-from conformodal.networks.lite import find_network
-from conformodal.running.results.provenance import provenance
-from conformodal.running.results.runs import write_metrics
-from conformodal.vision.features import FeatureCache
-from conformodal.vision.settings import TrainingConfig
+from conformodal.features.extract import FeatureCache
+from conformodal.features.networks.lite import find_network
+from conformodal.features.settings import TrainingConfig
+from conformodal.io import Layout, Recording, SplitKind
+from conformodal.pipeline.config import Method
+from conformodal.pipeline.identity import data_digest
+from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.results.runs import write_metrics
 
 from .baselines import BASELINES
 from .conditions import NETWORKS, Row, TrainingTask, rows_of, tasks_of
@@ -97,7 +97,7 @@ class Plan:
         return rows_of(self.networks.split(","))
 
     def carry_out(
-        self, sequence: Sequence, out: Path, features: FeatureCache
+        self, sequence: Recording, out: Path, features: FeatureCache
     ) -> tuple[list[TrainingTask], list[dict[str, Any]]]:
         """The tasks and the result of each; those that have one already are not run again."""
         digest, names = data_digest(sequence), self.baselines.names
@@ -114,7 +114,7 @@ class Plan:
 
 
 @contextmanager
-def opened(data: Path, layout: Layout, out: Path, cache: Path | None) -> Iterator[tuple[Sequence, FeatureCache]]:
+def opened(data: Path, layout: Layout, out: Path, cache: Path | None) -> Iterator[tuple[Recording, FeatureCache]]:
     """The data set and the cache of features, with the folder of results locked."""
     with writing_in(out):
         yield open_sequence(data, layout, require_poses=True), FeatureCache(cache_folder(cache))

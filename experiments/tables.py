@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from conformodal.core.words import counted
-from conformodal.model.config import Method
+from conformodal.pipeline.config import Method
 
 from .baselines import BASELINES
 from .conditions import Row, TrainingTask

@@ -15,27 +15,27 @@ from scipy.stats import spearmanr
 
 from conformodal.conformal import Regions, SplitConformal
 from conformodal.core.arrays import FloatArray, rows_by_label
-from conformodal.datasets import PixelNoise, Sequence
-from conformodal.localization.evidence import FrameEvidence
-from conformodal.localization.fusion import fuse
-from conformodal.localization.motions import MotionRecord
-from conformodal.localization.targets import pose_targets
-from conformodal.model.config import Method
-from conformodal.model.model import PoseModel
-from conformodal.poses import Trajectory, concatenate, normalise_quat
-from conformodal.reasoning.candidates import Candidates, interval_runs, softmax_mean
-from conformodal.reasoning.filter import hindsight_posteriors
-from conformodal.reasoning.greedy import greedy
-from conformodal.running.estimates import OdometryRun
-from conformodal.running.paper_odometry import odometry_of
-from conformodal.running.paths import as_trajectory, whole_paths
-from conformodal.running.results.evaluation import error_table
-from conformodal.running.results.provenance import provenance
-from conformodal.running.results.runs import write_metrics, write_run
-from conformodal.training.plain import PlainRegressor, train_plain, trajectory_of
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.training.training_data import TrainingData
-from conformodal.vision.features import FeatureCache, extract_features
+from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.geometry import Trajectory, concatenate, normalise_quat
+from conformodal.io import PixelNoise, Recording
+from conformodal.localizer.candidates import Candidates, interval_runs, softmax_mean
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.filter import hindsight_posteriors
+from conformodal.localizer.fusion import fuse
+from conformodal.localizer.greedy import greedy
+from conformodal.localizer.targets import pose_targets
+from conformodal.pipeline.config import Method
+from conformodal.pipeline.estimates import OdometryRun
+from conformodal.pipeline.evaluate import error_table
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.paper_odometry import odometry_of
+from conformodal.pipeline.paths import as_trajectory, whole_paths
+from conformodal.pipeline.plain import PlainRegressor, train_plain, trajectory_of
+from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.results.runs import write_metrics, write_run
+from conformodal.pipeline.train import prepare_training_data, train_model
+from conformodal.pipeline.training_data import TrainingData
+from conformodal.tracking.motions import MotionRecord
 
 from .baselines import BASELINES, Baseline, RegressionTask, n_numbers
 from .conditions import ALPHA, TrainingTask, config_of, run_name
@@ -78,7 +78,7 @@ class Table1Worker:
         none.
     """
 
-    def __init__(self, sequence: Sequence, cache: FeatureCache, runs: Path | None = None) -> None:
+    def __init__(self, sequence: Recording, cache: FeatureCache, runs: Path | None = None) -> None:
         self.sequence, self.cache, self.runs = sequence, cache, runs
 
     def __call__(self, task: TrainingTask) -> dict[str, Any]:

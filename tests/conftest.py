@@ -2,7 +2,7 @@ import shutil
 
 import pytest
 
-from conformodal.datasets import read_sevenscenes
+from conformodal.io import read_sevenscenes
 
 CHROMIUM = next((p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None)
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.localization.regions import PoseRegions, Support
-from conformodal.reasoning.candidates import Candidates
+from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.regions import PoseRegions, Support
 
 
 def invoke(*arguments):
@@ -43,10 +43,10 @@ def fill(folder: Path, files) -> None:
 
 def fly(folder: Path, seed: int, frames: slice, noise_seed: int) -> Path:
     """Frames of another flight through the small world."""
-    from conformodal.datasets.corridor.path import drone_path
-    from conformodal.datasets.corridor.render import Renderer
-    from conformodal.datasets.corridor.world import CorridorWorld
-    from conformodal.datasets.corridor.writer import write_flight
+    from conformodal.corridor.path import drone_path
+    from conformodal.corridor.render import Renderer
+    from conformodal.corridor.world import CorridorWorld
+    from conformodal.corridor.writer import write_flight
 
     world = CorridorWorld(3, seed=3)
     write_flight(folder, Renderer(world), drone_path(world, 1, seed=seed).poses_se3[frames], noise_seed=noise_seed)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from conformodal.datasets import Split, SplitKind
-from conformodal.training.training_data import TrainingData
-from conformodal.vision.backbone import feature_views
-from conformodal.vision.projection import fit_projection
-from conformodal.vision.settings import TrainingConfig
+from conformodal.features.backbone import feature_views
+from conformodal.features.projection import fit_projection
+from conformodal.features.settings import TrainingConfig
+from conformodal.io import Split, SplitKind
+from conformodal.pipeline.training_data import TrainingData
 from experiments.baselines import (
     BASELINES,
     N_COMPONENTS,

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conformodal.datasets import read_sequence
-from conformodal.model.config import ModelConfig
-from conformodal.model.store import load_model
-from conformodal.poses import trajectory_errors
-from conformodal.running.estimator import VisualOdometry
-from conformodal.training.plain import train_plain
-from conformodal.training.training import prepare_training_data
-from conformodal.vision.features import FeatureCache, extract_features
-from conformodal.vision.settings import TrainingConfig
+from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.features.settings import TrainingConfig
+from conformodal.geometry import trajectory_errors
+from conformodal.io import read_recording
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.plain import train_plain
+from conformodal.pipeline.store import load_model
+from conformodal.pipeline.train import prepare_training_data
 from experiments.regressors import train_tuned
 from experiments.worker import TrainedMethods, add_trajectories
 
@@ -24,7 +24,7 @@ TRAINING = TrainingConfig(epochs=5)
 @pytest.fixture(scope="module")
 def world(small_world):
     """The small world's model with two regressors, its run over some test frames, their features, and the truth."""
-    sequence, model = read_sequence(small_world.folder), load_model(small_world.model)
+    sequence, model = read_recording(small_world.folder), load_model(small_world.model)
     cache = FeatureCache(small_world.cache)
     run = VisualOdometry(model).process(sequence, model.split.test[:N_FRAMES], cache=cache)
     data = prepare_training_data(sequence, ModelConfig(training=TRAINING), cache)

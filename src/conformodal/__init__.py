@@ -9,10 +9,10 @@ from __future__ import annotations
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from conformodal.core.extras import lazy_getattr
+from .core.extras import lazy_getattr
 
 if TYPE_CHECKING:
-    from conformodal.conformal import (
+    from .conformal import (
         ConformalError,
         ConformalRegressor,
         ConformodalError,
@@ -28,19 +28,19 @@ if TYPE_CHECKING:
         coverage_band,
         diagnose,
     )
-    from conformodal.datasets import read_sevenscenes
-    from conformodal.poses import Trajectory
-    from conformodal.report.diagnosis import draw_diagnosis
-    from conformodal.report.tables import draw_coverage, draw_regions
-    from conformodal.running.estimator import VisualOdometry
+    from .geometry import Trajectory
+    from .io import read_sevenscenes
+    from .pipeline.estimator import VisualOdometry
+    from .report.diagnosis import draw_diagnosis
+    from .report.tables import draw_coverage, draw_regions
 
 _LATE = {
-    "Trajectory": ".poses",
-    "VisualOdometry": ".running.estimator",
+    "Trajectory": ".geometry",
+    "VisualOdometry": ".pipeline.estimator",
     "draw_coverage": ".report.tables",
     "draw_diagnosis": ".report.diagnosis",
     "draw_regions": ".report.tables",
-    "read_sevenscenes": ".datasets",
+    "read_sevenscenes": ".io",
 }
 
 __all__ = [

@@ -12,10 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.cli.main import COMMANDS, app
 from conformodal.cli.model_notes import describe_repeated
-from conformodal.datasets import read_sequence
-from conformodal.model.store import load_model
-from conformodal.poses import Trajectory, read_tum, write_tum
-from conformodal.running.results.records import read_region_records
+from conformodal.geometry import Trajectory
+from conformodal.io import read_recording
+from conformodal.io.pose_files import read_tum, write_tum
+from conformodal.pipeline.results.records import read_region_records
+from conformodal.pipeline.store import load_model
 from tests.helpers import fly, invoke, refusal, run_ok
 
 
@@ -225,7 +226,7 @@ def test_test_frames_with_a_known_picture_are_counted(small_world, tmp_path):
     arguments = ["train", folder, "--out", out, "--cache", tmp_path / "cache", "--epochs", "2", "--sources", "head"]
     result = run_ok(*arguments)
     metrics, model = json.loads((out / "metrics.json").read_text()), load_model(out)
-    content = [path.read_bytes() for path in read_sequence(folder).image_paths]
+    content = [path.read_bytes() for path in read_recording(folder).image_paths]
     known = {content[i] for i in np.concatenate((model.split.train, model.split.calibration))}
     expected = sum(content[i] in known for i in model.split.test)
     assert metrics["split"]["n_test_same_picture"] == expected > 0
@@ -265,7 +266,7 @@ def test_recordings_are_given_as_several_arguments(two_recordings, tmp_path):
         parts.append(tmp_path / name)
     model, options = tmp_path / "model", ["--cache", tmp_path / "cache", "--epochs", "2", "--sources", "head"]
     run_ok("train", parts[0], "--out", model, "--test", parts[1], *options)
-    found, n = load_model(model), len(read_sequence(parts[0]))
+    found, n = load_model(model), len(read_recording(parts[0]))
     np.testing.assert_array_equal(found.split.test, np.arange(n, 2 * n))
     assert found.split.kind == "given"
     run_ok("run", model, *parts, "--out", tmp_path / "out")

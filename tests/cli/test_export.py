@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conformodal.localization.landmarks.source import LandmarkSource
-from conformodal.model.store import load_model, save_model
-from conformodal.networks.torch_backbone import TorchBackbone
-from conformodal.vision.onnx_backbone import OnnxBackbone
+from conformodal.features.networks.torch_backbone import TorchBackbone
+from conformodal.features.onnx_backbone import OnnxBackbone
+from conformodal.localizer.sources.landmarks import LandmarkSource
+from conformodal.pipeline.store import load_model, save_model
 from tests.helpers import invoke, refusal, run_ok
 
 

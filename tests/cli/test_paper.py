@@ -10,9 +10,9 @@ from typer.testing import CliRunner
 
 from conformodal.cli import demo
 from conformodal.cli.main import app
-from conformodal.poses import read_tum
-from conformodal.running.results.records import read_region_records
-from conformodal.running.results.runs import read_trajectories
+from conformodal.io.pose_files import read_tum
+from conformodal.pipeline.results.records import read_region_records
+from conformodal.pipeline.results.runs import read_trajectories
 from tests.helpers import refusal, run_ok
 
 

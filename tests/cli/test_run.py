@@ -9,16 +9,16 @@ import cv2
 import numpy as np
 import pytest
 
-from conformodal.datasets import read_sequence
-from conformodal.poses import read_tum
-from conformodal.running.results.runs import read_trajectories
+from conformodal.io import read_recording
+from conformodal.io.pose_files import read_tum
+from conformodal.pipeline.results.runs import read_trajectories
 from tests.helpers import invoke, refusal, run_ok
 
 
 @pytest.fixture(scope="module")
 def video(small_world, tmp_path_factory):
     """The first 40 frames of the small world as a video."""
-    sequence = read_sequence(small_world.folder)
+    sequence = read_recording(small_world.folder)
     path = tmp_path_factory.mktemp("video") / "flight.avi"
     size = (sequence.camera.width, sequence.camera.height)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, size)
@@ -78,7 +78,7 @@ def test_frames_without_a_pose_are_answered_and_the_others_are_measured(small_wo
     """Errors and coverage are those of ``evaluate``, which pairs the frames that have a pose by their times."""
     place = tmp_path / "some"
     place.mkdir()
-    whole = read_sequence(small_world.folder)
+    whole = read_recording(small_world.folder)
     for name in ("camera-intrinsics.txt", "frame-rate.txt"):
         shutil.copy(next(small_world.folder.rglob(name)), place)
     for i, path in enumerate(whole.image_paths[:50]):

@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 from conformodal.cli import info as info_module
 from conformodal.cli import view as view_module
 from conformodal.cli.main import COMMANDS, app
-from conformodal.datasets import DatasetWarning
-from conformodal.model.errors import OdometryError
-from conformodal.model.region_rules import EvidenceType
-from conformodal.model.store import load_model
+from conformodal.io import DatasetWarning
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.store import load_model
 from tests.helpers import invoke, run_ok
 
 

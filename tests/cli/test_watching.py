@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from conformodal.cli import run
 from conformodal.cli.main import app
-from conformodal.running.streaming import StreamRunner
+from conformodal.pipeline.stream import StreamRunner
 
 
 class Recorder:

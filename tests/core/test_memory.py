@@ -7,7 +7,7 @@ import pytest
 # Blocks of 4 kB, all but every hundredth freed again: those that stay keep the C library from returning the others.
 FREED = """
 from pathlib import Path
-from conformodal.core.process import release_freed_memory
+from conformodal.core.parallel import release_freed_memory
 
 def resident_mb():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6

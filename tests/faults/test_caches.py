@@ -9,11 +9,11 @@ import torch
 from safetensors.numpy import save as save_tensors
 
 from conformodal.core.files import locked
-from conformodal.networks.heads import Head, fit_head, mean_squared_error, soft_cross_entropy
-from conformodal.networks.torch_backbone import TorchBackbone, backbone_config
-from conformodal.vision.features import FeatureCache, extract_features
-from conformodal.vision.settings import TrainingConfig
-from tests.datasets.test_layouts import write_sevenscenes
+from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.features.heads import Head, fit_head, mean_squared_error, soft_cross_entropy
+from conformodal.features.networks.torch_backbone import TorchBackbone, backbone_config
+from conformodal.features.settings import TrainingConfig
+from tests.io.test_layouts import write_sevenscenes
 
 
 def flip(path: Path, at: float) -> None:

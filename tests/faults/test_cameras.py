@@ -5,14 +5,14 @@ import warnings
 import numpy as np
 import pytest
 
-from conformodal.datasets import DatasetError, DatasetWarning, Layout, read_sequence
-from conformodal.datasets.streams.bag import BagStream
-from conformodal.datasets.streams.frames import SourceError
-from conformodal.poses import PinholeCamera, PoseError
-from tests.datasets.streams import test_streams
-from tests.datasets.test_layouts import SIZE, WRITERS
-from tests.datasets.test_refusals import colmap_camera, nerf
+from conformodal.geometry import PinholeCamera, PoseError
+from conformodal.io import DatasetError, DatasetWarning, Layout, read_recording
+from conformodal.io.streams.bag import BagStream
+from conformodal.io.streams.frames import SourceError
 from tests.helpers import invoke
+from tests.io.streams import test_streams
+from tests.io.test_layouts import SIZE, WRITERS
+from tests.io.test_refusals import colmap_camera, nerf
 
 LENS = (-0.1, 0.02, 0.001, 0.002)
 MATRIX = (Layout.SEVENSCENES, Layout.RGBD_SCENES, Layout.TUM, Layout.IMAGES)
@@ -90,7 +90,7 @@ def test_what_is_no_camera_is_refused_by_file(tmp_path, layout, what):
     *pixels, lens = NO_CAMERA[what]
     name = write_camera(layout, tmp_path, pixels, lens)
     with pytest.raises(DatasetError) as caught:
-        read_sequence(folder, layout, require_poses=len(what) % 2 == 0)
+        read_recording(folder, layout, require_poses=len(what) % 2 == 0)
     assert name in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -103,7 +103,7 @@ def test_what_is_unlikely_is_told(tmp_path, layout, what):
     (*pixels, lens), match = UNLIKELY[what]
     name = write_camera(layout, tmp_path, pixels, lens)
     with pytest.warns(DatasetWarning, match=match):
-        sequence = read_sequence(folder, layout)
+        sequence = read_recording(folder, layout)
     assert (sequence.camera.fx, sequence.camera.cy) == (pixels[0], pixels[3])
     assert any(name in where for _, where in sequence.notes)
 
@@ -114,7 +114,7 @@ def test_sound_cameras_are_not_remarked(tmp_path, layout):
     write_camera(layout, tmp_path, (41.0, 40.0, 33.0, 23.0), () if layout is Layout.KITTI else LENS)
     with warnings.catch_warnings():
         warnings.simplefilter("error", DatasetWarning)
-        assert read_sequence(folder, layout).notes == ()
+        assert read_recording(folder, layout).notes == ()
 
 
 @pytest.mark.parametrize("layout", [Layout.COLMAP, Layout.EUROC, Layout.NERF])
@@ -133,10 +133,10 @@ def test_a_size_that_the_file_states_scales_its_camera_or_refuses(tmp_path, layo
     write_camera(layout, tmp_path, pixels, size=size)
     if not scaled:
         with pytest.raises(DatasetError, match=f"for {size[0]}x{size[1]} pixels"):
-            read_sequence(folder)
+            read_recording(folder)
         return
     with pytest.warns(DatasetWarning, match=f"scaled from {size[0]}x{size[1]}"):
-        camera = read_sequence(folder).camera
+        camera = read_recording(folder).camera
     assert (camera.fx, camera.cx, camera.cy, camera.width) == pytest.approx((40, 32, 24, 64))
 
 
@@ -150,7 +150,7 @@ def test_a_size_that_the_file_states_scales_its_camera_or_refuses(tmp_path, layo
 def test_the_fifth_number_of_a_lens_is_k3(tmp_path, layout, write, lens):
     WRITERS[layout](tmp_path)
     write(tmp_path)
-    assert read_sequence(tmp_path).camera.distortion == lens
+    assert read_recording(tmp_path).camera.distortion == lens
 
 
 @pytest.mark.parametrize(

@@ -7,24 +7,24 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import ConformodalError
-from conformodal.datasets import Split, SplitKind, make_split, read_sequence
-from conformodal.datasets.splits import held_out_together
-from conformodal.datasets.streams.opening import open_stream
-from conformodal.datasets.streams.prefetch import prefetch
-from conformodal.datasets.writing import write_layout
-from conformodal.localization.source_data import SourceData
-from conformodal.model.config import Calibration, Method, ModelConfig, Runtime
-from conformodal.model.model import PoseModel
-from conformodal.model.radius import Guarantee, PoseRadius, fit_pose_radius
-from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import RelativeMotion, Trajectory, align
-from conformodal.poses.relative import MotionStatus
+from conformodal.geometry import RelativeMotion, Trajectory, align
+from conformodal.geometry.relative import MotionStatus
+from conformodal.io import Split, SplitKind, make_split, read_recording
+from conformodal.io.convert import write_layout
+from conformodal.io.splits import held_out_together
+from conformodal.io.streams.opening import open_stream
+from conformodal.io.streams.prefetch import prefetch
+from conformodal.localizer.radius import Guarantee, PoseRadius, fit_pose_radius
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.sources.source_data import SourceData
+from conformodal.pipeline.config import Calibration, Method, ModelConfig, Runtime
+from conformodal.pipeline.estimates import Estimate
+from conformodal.pipeline.folds import make_folds
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.results.records import region_record
+from conformodal.pipeline.selection import calibrate_selection
 from conformodal.ros.conventions import Conventions, Covariance
 from conformodal.ros.conversion import pose_covariance
-from conformodal.running.estimates import Estimate
-from conformodal.running.results.records import region_record
-from conformodal.running.selection import calibrate_selection
-from conformodal.training.folds import make_folds
 from experiments.conditions import TrainingTask
 
 ROWS = np.arange(4)
@@ -38,7 +38,7 @@ TASK = {"seed": 0, "used": 0.8, "network": "efficientnet_lite0", "sigmas": (0.0,
 ENTRIES = {
     "Conventions.covariance": (lambda v: Conventions(covariance=v), "covariance"),
     "pose_covariance": (lambda v: pose_covariance(Estimate(0.0, *LOST, False), v), "covariance"),
-    "read_sequence": (lambda v: read_sequence("nowhere", v), "layout"),
+    "read_recording": (lambda v: read_recording("nowhere", v), "layout"),
     "open_stream": (lambda v: open_stream("nowhere", v), "layout"),
     "write_layout": (lambda v: write_layout(None, v, None, None, None), "layout"),
     "prefetch": (lambda v: next(prefetch(None, pace=v)), "pace"),

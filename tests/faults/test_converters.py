@@ -11,17 +11,17 @@ import pytest
 from PIL import Image
 
 from conformodal.cli.sources import open_source
-from conformodal.datasets import DatasetError, Layout, read_sequence
-from conformodal.datasets.staging import staged
-from conformodal.datasets.streams.frames import Frame
-from conformodal.datasets.streams.stored import SequenceStream
-from conformodal.datasets.writing import WRITABLE, write_layout
-from conformodal.model.identity import identify
-from conformodal.poses import PinholeCamera, Trajectory
-from tests.datasets.test_layouts import PLACES, WRITERS, N
+from conformodal.geometry import PinholeCamera, Trajectory
+from conformodal.io import DatasetError, Layout, read_recording
+from conformodal.io.convert import WRITABLE, write_layout
+from conformodal.io.staging import staged
+from conformodal.io.streams.frames import Frame
+from conformodal.io.streams.stored import SequenceStream
+from conformodal.pipeline.identity import identify
 from tests.helpers import contents, fill, invoke, run_ok
+from tests.io.test_layouts import PLACES, WRITERS, N
 
-pytestmark = pytest.mark.filterwarnings("ignore::conformodal.datasets.DatasetWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::conformodal.io.DatasetWarning")
 
 
 def lose(layout, root, lost):
@@ -40,16 +40,16 @@ def lose(layout, root, lost):
 def test_frames_with_a_pose_keep_it_and_the_others_are_named(tmp_path, layout, to):
     lost = (0, 1, 3)
     folder = WRITERS[layout](tmp_path / "a")
-    names = [path.name for path in read_sequence(folder).image_paths]
+    names = [path.name for path in read_recording(folder).image_paths]
     lose(layout, tmp_path / "a", lost)
     result = run_ok("data", "convert", folder, "--to", to, "--out", tmp_path / "b")
     for i in lost:
         assert names[i] in result.output
     kept = [i for i in range(N) if i not in lost]
-    after = read_sequence(tmp_path / "b", to)
+    after = read_recording(tmp_path / "b", to)
     np.testing.assert_allclose(after.require_truth().positions_xyz, PLACES[kept], atol=1e-6)
     assert [int(after.image(k)[0, 0, 0]) for k in range(len(kept))] == [10 * i for i in kept]
-    whole = read_sequence(tmp_path / "b", to, require_poses=False)
+    whole = read_recording(tmp_path / "b", to, require_poses=False)
     assert [int(whole.image(k)[0, 0, 0]) for k in range(len(whole))] == [10 * i for i in range(N)]
     np.testing.assert_array_equal(whole.known_poses.timestamps_s, after.timestamps_s)
 
@@ -67,8 +67,8 @@ def test_poses_of_neighbours_are_not_lent(tmp_path):
     (folder / "poses.txt").write_text("\n".join(rows))
     result = run_ok("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
     assert "kept 1 frame without a pose: 2.png" in result.output
-    assert len(read_sequence(tmp_path / "b")) == 5
-    whole = read_sequence(tmp_path / "b", require_poses=False)
+    assert len(read_recording(tmp_path / "b")) == 5
+    whole = read_recording(tmp_path / "b", require_poses=False)
     assert (len(whole), len(whole.known_poses)) == (6, 5)
 
 
@@ -79,7 +79,7 @@ def test_what_misses_the_first_poses_is_the_data_set_of_its_model(tmp_path):
     for path in (folder / "rgb").iterdir():
         Image.fromarray(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)).save(path)
     lose(Layout.TUM, tmp_path, (0, 1))
-    trained = read_sequence(folder)
+    trained = read_recording(folder)
     again = open_source(str(folder), Layout.AUTO, as_trained=True).sequence
     assert again.image_paths == trained.image_paths
     found = identify(trained).find(identify(again))
@@ -121,7 +121,7 @@ def test_a_failure_leaves_nothing(tmp_path, layout, error, there):
     assert [p.name for p in tmp_path.rglob("*")] == (["out"] if there else [])
     stream = Failing(None)
     assert write_layout(out, layout, stream, stream.camera, poses_for()).n_frames == 3
-    assert len(read_sequence(out, layout)) == 3
+    assert len(read_recording(out, layout)) == 3
 
 
 @pytest.mark.parametrize("times", [(0.0, 0.1, 0.1), (0.0, 0.1, 0.05), (0.0, 0.1, float("nan")), (0.0, 0.1, -5.0)])
@@ -131,7 +131,7 @@ def test_a_frame_whose_time_goes_back_is_left_out_and_named(tmp_path, layout, ti
     done = write_layout(tmp_path / "out", layout, stream, stream.camera, poses_for())
     assert done.n_frames == 2
     assert any("f2" in note for note in done.notes)
-    assert len(read_sequence(tmp_path / "out", layout)) == 2
+    assert len(read_recording(tmp_path / "out", layout)) == 2
 
 
 KNOWABLE = {
@@ -154,7 +154,7 @@ KNOWABLE = {
 def test_what_can_be_known_is_said_before_the_first_file(tmp_path, what):
     change, settings, match = KNOWABLE[what]
     fill(tmp_path, {"full/mine": "mine", "file": "mine"})
-    sequence = change(read_sequence(WRITERS[Layout.TUM](tmp_path / "a")))
+    sequence = change(read_recording(WRITERS[Layout.TUM](tmp_path / "a")))
     given = {"layout": Layout.TUM, "poses": sequence.truth, "out": "b"} | settings
     before, progress = [contents(tmp_path), sorted(tmp_path.rglob("*"))], []
     with pytest.raises(DatasetError, match=match):
@@ -185,10 +185,10 @@ def test_poses_that_are_none_are_refused_before_the_first_file(tmp_path, content
 SCRIPT = """
 import sys, time
 from pathlib import Path
-from conformodal.datasets import read_sequence
-from conformodal.datasets.streams import SequenceStream
-from conformodal.datasets.writing import write_layout
-sequence = read_sequence(sys.argv[1])
+from conformodal.io import read_recording
+from conformodal.io.streams import SequenceStream
+from conformodal.io.convert import write_layout
+sequence = read_recording(sys.argv[1])
 def wait(number):
     print(number, flush=True)
     time.sleep(60)
@@ -210,7 +210,7 @@ def test_a_kill_leaves_no_half_data_set_and_the_same_call_goes_through(tmp_path)
     assert not (tmp_path / "b").exists()
     run_ok("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "b"]
-    assert len(read_sequence(tmp_path / "b")) == N
+    assert len(read_recording(tmp_path / "b")) == N
 
 
 def test_two_that_write_one_folder_do_not_mix(tmp_path):

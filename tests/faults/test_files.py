@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from conformodal.datasets import DatasetError, DatasetWarning, ImageError, Layout, read_sequence
-from conformodal.datasets.streams.opening import open_stream
-from conformodal.datasets.streams.stored import SequenceStream
-from tests.datasets.test_layouts import WRITERS, N
-from tests.datasets.test_refusals import file_of
+from conformodal.io import DatasetError, DatasetWarning, ImageError, Layout, read_recording
+from conformodal.io.streams.opening import open_stream
+from conformodal.io.streams.stored import SequenceStream
 from tests.helpers import contents, invoke, run_ok
+from tests.io.test_layouts import WRITERS, N
+from tests.io.test_refusals import file_of
 
 LISTS = {Layout.TUM: "rgb.txt", Layout.EUROC: "mav0/cam0/data.csv"}
 
@@ -23,14 +23,14 @@ def expect(folder, layout, before, lost, match, *, always=False):
     """One frame is lost to training and named; the others are as before. `always`: to every reading."""
     kept = [i for i in range(N) if i != lost]
     with pytest.warns(DatasetWarning, match=match):
-        sequence = read_sequence(folder, layout)
+        sequence = read_recording(folder, layout)
     assert sequence.image_paths == tuple(before.image_paths[i] for i in kept)
     np.testing.assert_allclose(sequence.timestamps_s, before.timestamps_s[kept])
     np.testing.assert_allclose(sequence.require_truth().poses_se3, before.truth.poses_se3[kept], atol=1e-9)
     assert sequence.camera == before.camera
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DatasetWarning)
-        everything = read_sequence(folder, layout, require_poses=False)
+        everything = read_recording(folder, layout, require_poses=False)
     assert everything.image_paths == (sequence.image_paths if always else before.image_paths)
     if layout is Layout.TUM:
         assert invoke("data", "check", folder, "--format", layout).exit_code == 1
@@ -61,11 +61,11 @@ UNREADABLE = {
 @pytest.mark.parametrize("damage", UNREADABLE)
 def test_a_bad_image_costs_its_frame(tmp_path, layout, damage):
     folder = WRITERS[layout](tmp_path)
-    before = read_sequence(folder)
+    before = read_recording(folder)
     place = (list(WRITERS).index(layout) + list(UNREADABLE).index(damage)) % 2 * 3  # the first, or one in the middle
     UNREADABLE[damage](before.image_paths[place])
     expect(folder, layout, before, place, before.image_paths[place].name)
-    frames = list(SequenceStream(read_sequence(folder, require_poses=False)))
+    frames = list(SequenceStream(read_recording(folder, require_poses=False)))
     assert [frame.image is None for frame in frames] == [i == place for i in range(N)]
 
 
@@ -148,7 +148,7 @@ def test_a_bad_pose_costs_its_frame(tmp_path, what, layout):
     folder = WRITERS[layout](tmp_path)
     for truth in tmp_path.rglob("state_groundtruth_estimate0"):  # a lost row of 20 Hz would be bridged
         (truth / "max-gap.txt").write_text("0.06")
-    before = read_sequence(folder)
+    before = read_recording(folder)
     change_pose(layout, tmp_path, POSES[what](layout))
     expect(folder, layout, before, 2, before.image_paths[2].name)
 
@@ -163,10 +163,10 @@ POSE_FILES = {
 @pytest.mark.parametrize("what", POSE_FILES)
 def test_a_7_scenes_pose_that_is_not_a_file_costs_its_frame(tmp_path, what):
     folder, place = WRITERS[Layout.SEVENSCENES](tmp_path), 3
-    before = read_sequence(folder)
+    before = read_recording(folder)
     POSE_FILES[what](tmp_path / "seq-01" / f"frame-{place:06d}.pose.txt")
     expect(folder, Layout.SEVENSCENES, before, place, rf"frame-{place:06d}\.color\.png: .*frame-{place:06d}\.pose")
-    some = read_sequence(folder, require_poses=False)
+    some = read_recording(folder, require_poses=False)
     assert some.truth is None
     assert len(some.known_poses) == N - 1
 
@@ -174,10 +174,10 @@ def test_a_7_scenes_pose_that_is_not_a_file_costs_its_frame(tmp_path, what):
 @pytest.mark.parametrize("layout", WRITERS)
 def test_a_data_set_without_one_sound_image_is_refused(tmp_path, layout):
     folder = WRITERS[layout](tmp_path)
-    for path in read_sequence(folder).image_paths:
+    for path in read_recording(folder).image_paths:
         path.write_bytes(b"")
     with pytest.raises(ImageError, match="cannot be decoded"):
-        read_sequence(folder)
+        read_recording(folder)
 
 
 JUNK = ["._{name}", ".DS_Store", "Thumbs.db", "desktop.ini", ".{name}.swp", "{name}.part", ".hidden.png"]
@@ -186,7 +186,7 @@ JUNK = ["._{name}", ".DS_Store", "Thumbs.db", "desktop.ini", ".{name}.swp", "{na
 def expect_the_same(folder, before):
     with warnings.catch_warnings():
         warnings.simplefilter("error", DatasetWarning)
-        after = read_sequence(folder)
+        after = read_recording(folder)
     assert (after.image_paths, after.camera, after.notes) == (before.image_paths, before.camera, ())
     np.testing.assert_array_equal(after.timestamps_s, before.timestamps_s)
     np.testing.assert_array_equal(after.truth.positions_xyz, before.truth.positions_xyz)
@@ -196,7 +196,7 @@ def expect_the_same(folder, before):
 @pytest.mark.parametrize("junk", JUNK)
 def test_what_systems_leave_behind_is_no_frame(tmp_path, layout, junk):
     folder = WRITERS[layout](tmp_path)
-    before = read_sequence(folder)
+    before = read_recording(folder)
     for path in {p.parent for p in tmp_path.rglob("*") if p.is_file()}:
         (path / junk.format(name=before.image_paths[0].name)).write_bytes(b"\0\5\x16\7")
     expect_the_same(folder, before)
@@ -222,7 +222,7 @@ def test_a_bad_time_costs_its_frame(tmp_path, what, layout):
         for i, path in enumerate(sorted(folder.glob("*.png"))):
             path.rename(folder / f"{i}.png")
         (folder / "times.txt").write_text("\n".join(f"{100 + 0.1 * i}" for i in range(N)))
-    before = read_sequence(folder)
+    before = read_recording(folder)
     path = folder / LISTS.get(layout, "times.txt")
     separator = "," if layout is Layout.EUROC else " "
     lines = [line.split(separator) for line in path.read_text().splitlines() if not line.startswith("#")]
@@ -237,7 +237,7 @@ def test_a_frame_rate_that_is_none_is_refused(tmp_path, layout, rate):
     folder = WRITERS[layout](tmp_path)
     (tmp_path / "frame-rate.txt").write_text(rate)
     with pytest.raises(DatasetError, match=r"frame-rate\.txt: (holds|cannot be read)"):
-        read_sequence(folder)
+        read_recording(folder)
 
 
 @pytest.mark.parametrize("layout", LISTS)
@@ -246,12 +246,12 @@ def test_a_frame_rate_that_is_none_is_refused(tmp_path, layout, rate):
 )
 def test_a_bad_line_of_images_is_left_out(tmp_path, layout, line):
     folder = WRITERS[layout](tmp_path)
-    before = read_sequence(folder)
+    before = read_recording(folder)
     path = folder / LISTS[layout]
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines[:3], line, *lines[3:]]))
     with pytest.warns(DatasetWarning, match=rf"{path.name}, line 4: expected"):
-        after = read_sequence(folder)
+        after = read_recording(folder)
     assert after.image_paths == before.image_paths
     np.testing.assert_array_equal(after.truth.positions_xyz, before.truth.positions_xyz)
 
@@ -270,7 +270,7 @@ CHANGES = {
 @pytest.mark.parametrize("change", CHANGES)
 def test_texts_of_other_systems_are_read_the_same(tmp_path, layout, change):
     folder = WRITERS[layout](tmp_path)
-    before = read_sequence(folder)
+    before = read_recording(folder)
     for path in [p for p in tmp_path.rglob("*") if p.suffix in (".txt", ".csv", ".yaml", ".json", ".pose", ".tum")]:
         path.write_bytes(CHANGES[change](path.read_bytes()))
     expect_the_same(folder, before)
@@ -278,13 +278,13 @@ def test_texts_of_other_systems_are_read_the_same(tmp_path, layout, change):
 
 def test_a_name_that_is_not_utf_8_costs_its_frame(tmp_path):
     folder = WRITERS[Layout.IMAGES](tmp_path)
-    before = read_sequence(folder)
+    before = read_recording(folder)
     for i, path in enumerate(before.image_paths):
         path.rename(os.fsdecode(os.fsencode(folder) + (b"/%d.png" % i if i != 2 else b"/2\xff.png")))
     np.savetxt(folder / "poses.txt", before.truth.poses_se3[:, :3].reshape(N, 12))
     (folder / "poses.tum").unlink()
     with pytest.warns(DatasetWarning, match="not UTF-8"):
-        after = read_sequence(folder)
+        after = read_recording(folder)
     np.testing.assert_allclose(after.truth.positions_xyz, np.delete(before.truth.positions_xyz, 2, axis=0), atol=1e-9)
     result = invoke("data", "check", folder)
     assert result.exit_code == 1, result.output
@@ -319,7 +319,7 @@ def naming_outside(tmp_path, layout, how):
     folder = WRITERS[layout](root)
     file, name, base = NAMED[layout]
     path = next(root.rglob(file))
-    name = name.format(name=read_sequence(folder).image_paths[2].name)
+    name = name.format(name=read_recording(folder).image_paths[2].name)
     path.write_text(path.read_text().replace(name, name[0] + outside(how, folder / base, root)))
     if layout is Layout.COLMAP:  # where a picture that is not named is a frame without a pose
         (folder / "images" / "0002.png").unlink()
@@ -329,7 +329,7 @@ def naming_outside(tmp_path, layout, how):
 @pytest.mark.parametrize("layout", NAMED)
 @pytest.mark.parametrize("how", ["link", "folder link"])
 def test_links_out_of_the_folder_are_followed(tmp_path, layout, how):
-    sequence = read_sequence(naming_outside(tmp_path, layout, how)[0])
+    sequence = read_recording(naming_outside(tmp_path, layout, how)[0])
     assert 255 in [sequence.image(i)[0, 0, 0] for i in range(N)]
 
 
@@ -337,7 +337,7 @@ def test_dots_behind_a_link_lead_out_of_the_folder(tmp_path):
     folder, file = naming_outside(tmp_path, Layout.TUM, "folder link")
     (folder / file).write_text((folder / file).read_text().replace("linked/x.png", "linked/../set-other/x.png"))
     with pytest.raises(DatasetError, match="outside"):
-        read_sequence(folder)
+        read_recording(folder)
 
 
 @pytest.mark.parametrize("layout", NAMED)
@@ -345,11 +345,11 @@ def test_dots_behind_a_link_lead_out_of_the_folder(tmp_path):
 def test_images_outside_the_folder_are_followed_only_when_told(tmp_path, layout, how):
     folder, file = naming_outside(tmp_path, layout, how)
     with pytest.raises(DatasetError, match=rf"{file}: names .*x\.png") as caught:
-        read_sequence(folder)
+        read_recording(folder)
     assert "--follow-outside" in str(caught.value)
     with pytest.raises(DatasetError, match="outside"):
         open_stream(folder)
-    sequence = read_sequence(folder, follow_outside=True)
+    sequence = read_recording(folder, follow_outside=True)
     assert 255 in [sequence.image(i)[0, 0, 0] for i in range(N)]
     if layout is Layout.TUM:
         assert invoke("data", "check", folder).exit_code == 2
@@ -372,10 +372,10 @@ def test_names_that_are_no_files(tmp_path, layout, name):
     match = "expected 'id" if layout is Layout.COLMAP and name in (".", "..") else NO_FILES[name]
     if match is None:
         with pytest.warns(DatasetWarning, match="1 x left out"):
-            assert len(read_sequence(folder)) == N - 1
+            assert len(read_recording(folder)) == N - 1
     else:
         with pytest.raises(DatasetError, match=rf"{path.name}.*{match}"):
-            read_sequence(folder)
+            read_recording(folder)
 
 
 def test_check_overwrites_itself_and_no_file(tmp_path):
@@ -395,19 +395,19 @@ def test_folders_of_any_name_are_read(tmp_path, name):
     root = tmp_path / name
     root.mkdir(parents=True)
     folder = WRITERS[Layout.IMAGES](root)
-    assert len(read_sequence(folder)) == N
+    assert len(read_recording(folder)) == N
     assert invoke("data", "check", folder).exit_code == 0
     run_ok("data", "convert", folder, "--to", "tum", "--out", tmp_path / "out")
 
 
 def test_two_poses_for_one_time_are_no_pose(tmp_path):
     folder = WRITERS[Layout.TUM](tmp_path)
-    before = read_sequence(folder)
+    before = read_recording(folder)
     path = folder / "groundtruth.txt"
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines, " ".join([lines[3].split()[0], "7", *lines[3].split()[2:]])]) + "\n")
     expect(folder, Layout.TUM, before, 2, "2.png: no pose within")
-    assert "two poses for time" in read_sequence(folder).notes[0].where
+    assert "two poses for time" in read_recording(folder).notes[0].where
 
 
 @pytest.mark.parametrize("layout", [Layout.AUTO, *WRITERS])
@@ -419,4 +419,4 @@ def test_what_is_no_data_set_is_refused(tmp_path, layout, what):
     elif what == "empty":
         path.mkdir()
     with pytest.raises(DatasetError):
-        read_sequence(path, layout)
+        read_recording(path, layout)

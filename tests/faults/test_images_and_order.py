@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from conformodal.datasets import DatasetWarning, ImageError, Layout, read_image, read_sequence
-from conformodal.datasets.decoding import decode, image_fault, image_size, natural_key
-from tests.datasets.test_layouts import SIZE, WRITERS, N, matrices, picture
+from conformodal.io import DatasetWarning, ImageError, Layout, read_image, read_recording
+from conformodal.io.decoding import decode, image_fault, image_size, natural_key
+from tests.io.test_layouts import SIZE, WRITERS, N, matrices, picture
 
 RAMP = (np.arange(64 * 48, dtype=np.int64).reshape(48, 64) * 65535 // (64 * 48 - 1)).astype(np.uint16)
 GREY = ((RAMP.astype(np.int64) * 255 + 32767) // 65535).astype(np.uint8)
@@ -153,7 +153,7 @@ def test_images_are_turned_as_their_exif_says_and_it_is_told(tmp_path, orientati
     assert image_fault(tmp_path / f"0{suffix}", (width, height)) == ""
     (tmp_path / "camera-intrinsics.txt").write_text(f"40 0 {width / 2}\n0 40 {height / 2}\n0 0 1\n")
     with pytest.warns(DatasetWarning, match="as its EXIF orientation says"):
-        sequence = read_sequence(tmp_path, require_poses=False)
+        sequence = read_recording(tmp_path, require_poses=False)
     assert sequence.image(0).shape == expected.shape
 
 
@@ -165,7 +165,7 @@ def test_images_of_16_bits_are_scaled_by_the_bits_that_the_data_set_uses(tmp_pat
     (tmp_path / "camera-intrinsics.txt").write_text("40 0 32\n0 40 24\n0 0 1\n")
     with warnings.catch_warnings(record=True) as came:
         warnings.simplefilter("always")
-        sequence = read_sequence(tmp_path, require_poses=False)
+        sequence = read_recording(tmp_path, require_poses=False)
     assert any("is shown as white" in str(one.message) for one in came) is told
     for i, share in enumerate((1, 1 / 8)):
         np.testing.assert_allclose(sequence.image(i)[..., 0], RAMP * (255 / 65535 * share), atol=1.1)
@@ -203,7 +203,7 @@ def test_suffixes_may_be_in_capitals(tmp_path, layout):
         path.write_text(re.sub(r"(\d{4})(\.png|(?=\"))", r"\1.PNG", path.read_text()))
     for path in list(tmp_path.rglob("*.png")):
         path.rename(path.with_suffix(".PNG"))
-    sequence = read_sequence(folder)
+    sequence = read_recording(folder)
     np.testing.assert_allclose(sequence.require_truth().poses_se3, matrices(), atol=1e-9)
     assert values(sequence) == [10 * i for i in range(N)]
 
@@ -213,7 +213,7 @@ def test_recordings_and_scenes_are_in_the_order_of_their_numbers(tmp_path):
         picture(tmp_path / f"seq-{number}" / "frame-000000.color.png", number)
         np.savetxt(tmp_path / f"seq-{number}" / "frame-000000.pose.txt", np.eye(4))
     (tmp_path / "camera-intrinsics.txt").write_text("40 0 32\n0 40 24\n0 0 1\n")
-    assert [p.parent.name for p in read_sequence(tmp_path).image_paths] == ["seq-1", "seq-2", "seq-10"]
+    assert [p.parent.name for p in read_recording(tmp_path).image_paths] == ["seq-1", "seq-2", "seq-10"]
 
 
 def other_points(make):
@@ -241,7 +241,7 @@ def test_colmap_images_with_and_without_points_are_all_read(tmp_path, what):
     path = next(tmp_path.rglob("images.txt"))
     for end in ("", "\n"):
         path.write_bytes((POINTS[what](path.read_text()).rstrip("\n") + end).encode())
-        np.testing.assert_allclose(read_sequence(tmp_path).require_truth().poses_se3, matrices(), atol=1e-9)
+        np.testing.assert_allclose(read_recording(tmp_path).require_truth().poses_se3, matrices(), atol=1e-9)
 
 
 STRANGERS = {
@@ -267,7 +267,7 @@ def test_files_that_look_like_a_7_scenes_frame_do_not_replace_it(tmp_path, name)
     (tmp_path / "seq-01" / name).write_bytes(content)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        sequence = read_sequence(folder)
+        sequence = read_recording(folder)
     assert len([w for w in caught if issubclass(w.category, DatasetWarning)]) == STRANGERS[name]
     assert len(sequence) == N
     assert values(sequence) == [10 * i for i in range(N)]
@@ -279,14 +279,14 @@ def test_folders_that_look_like_a_recording_are_told(tmp_path, name):
     folder = WRITERS[Layout.SEVENSCENES](tmp_path)
     picture(tmp_path / name / "frame-000000.color.png", 25)
     with pytest.warns(DatasetWarning, match="no recording"):
-        assert len(read_sequence(folder)) == N
+        assert len(read_recording(folder)) == N
 
 
 def test_one_name_with_two_suffixes_is_one_frame(tmp_path):
     folder = WRITERS[Layout.KITTI](tmp_path)
     (folder / "image_0" / "000003.JPG").write_bytes(JPEG)
     with pytest.warns(DatasetWarning, match="another file has its name"):
-        sequence = read_sequence(folder)
+        sequence = read_recording(folder)
     assert values(sequence) == [10 * i for i in range(N)]
 
 
@@ -295,7 +295,7 @@ def test_a_kitti_image_that_is_missing_moves_no_pose_and_no_time(tmp_path, times
     folder = WRITERS[Layout.KITTI](tmp_path)
     (folder / "times.txt").write_text("\n".join(str(times * i) for i in range(N)))
     (folder / "image_0" / "000002.png").unlink()
-    sequence = read_sequence(folder)
+    sequence = read_recording(folder)
     kept = np.array([0, 1, 3, 4])
     np.testing.assert_allclose(sequence.require_truth().poses_se3, matrices()[kept], atol=1e-9)
     np.testing.assert_allclose(sequence.timestamps_s, times * kept)

@@ -10,9 +10,9 @@ import time
 
 import pytest
 
-from conformodal.model.store import load_model
-from conformodal.running.results.records import read_region_records
-from conformodal.running.results.runs import read_trajectories
+from conformodal.pipeline.results.records import read_region_records
+from conformodal.pipeline.results.runs import read_trajectories
+from conformodal.pipeline.store import load_model
 from tests.helpers import contents
 
 MAIN = "from conformodal.cli.main import app; app()"

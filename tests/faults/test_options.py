@@ -18,11 +18,11 @@ from conformodal.cli.main import app
 from conformodal.cli.options import range_of
 from conformodal.conformal import ConformodalError, QuantileBins
 from conformodal.core.ranges import RANGES, Range
-from conformodal.datasets import make_split
-from conformodal.model.config import ModelConfig
-from conformodal.vision.settings import TrainingConfig
-from tests.datasets.streams.test_streams import video as write_video
+from conformodal.features.settings import TrainingConfig
+from conformodal.io import make_split
+from conformodal.pipeline.config import ModelConfig
 from tests.helpers import invoke
+from tests.io.streams.test_streams import video as write_video
 
 SHARE = Range(0, 1, low_open=True, high_open=True)
 

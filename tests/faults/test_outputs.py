@@ -15,13 +15,14 @@ import pytest
 
 from conformodal.core import files as core_files
 from conformodal.core.files import PART, FolderError, FolderInUseError, check_writable, write_whole, writing_in
-from conformodal.model.errors import ResultsError
-from conformodal.model.store import load_model, save_model
-from conformodal.poses import Trajectory, write_tum
-from conformodal.running.results.folders import UNFINISHED, lock_output, recover, result_digests
-from conformodal.running.results.records import read_region_records, region_record
-from conformodal.running.results.runs import read_trajectories, write_metrics
-from conformodal.running.results.writer import ResultsWriter
+from conformodal.geometry import Trajectory
+from conformodal.io.pose_files import write_tum
+from conformodal.pipeline.errors import ResultsError
+from conformodal.pipeline.results.folders import UNFINISHED, lock_output, recover, result_digests
+from conformodal.pipeline.results.records import read_region_records, region_record
+from conformodal.pipeline.results.runs import read_trajectories, write_metrics
+from conformodal.pipeline.results.writer import ResultsWriter
+from conformodal.pipeline.store import load_model, save_model
 from tests.helpers import contents, fill, invoke
 
 # files of a folder, and the commands that may write in it

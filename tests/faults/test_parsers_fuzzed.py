@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from conformodal.conformal import ConformodalError
-from conformodal.datasets import Layout, read_image, read_sequence
-from conformodal.datasets.streams.opening import open_stream
-from conformodal.poses import read_euroc, read_kitti, read_tum
-from tests.datasets.test_layouts import WRITERS, N
+from conformodal.io import Layout, read_image, read_recording
+from conformodal.io.pose_files import read_euroc, read_kitti, read_tum
+from conformodal.io.streams.opening import open_stream
+from tests.io.test_layouts import WRITERS, N
 
-pytestmark = pytest.mark.filterwarnings("ignore::conformodal.datasets.DatasetWarning", "error::RuntimeWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::conformodal.io.DatasetWarning", "error::RuntimeWarning")
 
 FILES = {
     Layout.SEVENSCENES: ("frame-000002.pose.txt", "camera-intrinsics.txt", "frame-rate.txt", "TrainSplit.txt"),
@@ -154,7 +154,7 @@ def read_changed(sets, layout, name, change, **options):
     path = max(p for p in root.rglob("*") if str(p).endswith(name))
     with kept(path) as content:
         path.write_bytes(change(content))
-        sequence = soundly(lambda: read_sequence(folder, layout, **options))
+        sequence = soundly(lambda: read_recording(folder, layout, **options))
     if sequence is not None:
         valid(sequence)
 
@@ -255,7 +255,7 @@ def test_images(tmp_path_factory, kind, what):
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory):
     pytest.importorskip("rosbags")
-    from tests.datasets.streams.test_streams import write_bag
+    from tests.io.streams.test_streams import write_bag
 
     root = tmp_path_factory.mktemp("bags")
     mcap = write_bag(root / "m", "mcap")

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from conformodal.datasets import read_sevenscenes
-from conformodal.datasets.streams.frames import Frame
-from conformodal.model.errors import OdometryError
-from conformodal.model.region_rules import EvidenceType
-from conformodal.model.store import load_model
-from conformodal.poses import MotionStatus, RelativeMotion, Trajectory
-from conformodal.reasoning.orientations import smooth_orientations
-from conformodal.reasoning.prior import fit_motion_prior
-from conformodal.running.estimator import VisualOdometry
-from conformodal.running.results.writer import ResultsWriter
-from conformodal.running.streaming import StreamRunner
+from conformodal.geometry import MotionStatus, RelativeMotion, Trajectory
+from conformodal.io import read_sevenscenes
+from conformodal.io.streams.frames import Frame
+from conformodal.localizer.orientations import smooth_orientations
+from conformodal.localizer.prior import fit_motion_prior
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.results.writer import ResultsWriter
+from conformodal.pipeline.store import load_model
+from conformodal.pipeline.stream import StreamRunner
 
 H, W = 120, 160
 

@@ -10,12 +10,12 @@ import pytest
 
 from conformodal.cli.console import PlainConsole, plain, progress_bars
 from conformodal.core.files import write_whole
-from conformodal.poses import Trajectory
+from conformodal.geometry import Trajectory
+from conformodal.pipeline.results.parquet import write_region_parquet
+from conformodal.pipeline.results.records import read_region_records, region_record
+from conformodal.pipeline.results.writer import ResultsWriter
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.viewer import make_viewer
-from conformodal.running.results.parquet import write_region_parquet
-from conformodal.running.results.records import read_region_records, region_record
-from conformodal.running.results.writer import ResultsWriter
 from tests.helpers import invoke
 
 NAMES = {

@@ -8,8 +8,8 @@ import pytest
 from scipy.stats import betabinom
 
 from conformodal.conformal import QuantileBins, SplitConformal, conformal_rank
-from conformodal.datasets import SplitKind
-from conformodal.model.region_rules import EvidenceType, RegionRules
+from conformodal.io import SplitKind
+from conformodal.localizer.region_rules import EvidenceType, RegionRules
 from conformodal.quality.advice import _more_units, describe_guarantee
 from conformodal.quality.guarantee import N_NEW, guarantees, least_alpha
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins
-from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import Trajectory
+from conformodal.corridor.ambiguity import AmbiguityCheck
+from conformodal.geometry import Trajectory
+from conformodal.localizer.region_rules import EvidenceType
 from conformodal.quality.advice import describe_quality, record_next
-from conformodal.quality.corridor_ambiguity import AmbiguityCheck
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.place_ambiguity import ambiguity
 from conformodal.quality.view_coverage import ViewScale

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.poses import Trajectory
+from conformodal.geometry import Trajectory
 from conformodal.quality.advice import describe_quality, record_next
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.view_coverage import ViewScale, pose_coverage

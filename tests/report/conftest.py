@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import Trajectory
+from conformodal.geometry import Trajectory
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.pipeline.results.records import region_record
+from conformodal.pipeline.results.writer import ResultsWriter
 from conformodal.report.viewer import Thumbnails
-from conformodal.running.results.records import region_record
-from conformodal.running.results.writer import ResultsWriter
 
 CHECKS = (Path(__file__).parent / "checks.js").read_text(encoding="utf-8")
 

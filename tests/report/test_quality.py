@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformodal.datasets import Sequence
-from conformodal.poses import PinholeCamera, Trajectory
+from conformodal.geometry import PinholeCamera, Trajectory
+from conformodal.io import Recording
 from conformodal.quality.advice import quality_record
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.view_coverage import ViewScale, pose_coverage
@@ -26,7 +26,7 @@ def examined(known=None):
     scale = ViewScale(2.0, 1.5)
     coverage = pose_coverage(poses, ZERO, poses[known], scale)
     paths, camera = tuple(Path(f"{i}.png") for i in EVERY), PinholeCamera(9, 9, 8, 8, 16, 16)
-    sequence = Sequence("<b>", paths, poses.timestamps_s, ZERO, camera, poses)
+    sequence = Recording("<b>", paths, poses.timestamps_s, ZERO, camera, poses)
     return RecordingQuality(sequence, EVERY, poses, np.flatnonzero(known), scale, coverage, None, [])
 
 

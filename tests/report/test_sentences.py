@@ -1,6 +1,6 @@
 import pytest
 
-from conformodal.poses import Trajectory
+from conformodal.geometry import Trajectory
 from conformodal.report.page_frames import Paths, describe_run, kind_of, page_frame
 
 HERE = [[-0.05, 0.05]]

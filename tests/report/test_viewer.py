@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import Trajectory
+from conformodal.geometry import Trajectory
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.pipeline.results.records import region_record
+from conformodal.pipeline.results.writer import ResultsWriter
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
-from conformodal.running.results.records import region_record
-from conformodal.running.results.writer import ResultsWriter
 
 METRICS = {"provenance": {}, "configuration": {}, "n_answered": 60, "split_note": "all frames."}
 

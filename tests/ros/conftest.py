@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins
-from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import Trajectory
-from conformodal.reasoning.candidates import Candidates
-from conformodal.running.estimates import Estimate
+from conformodal.geometry import Trajectory
+from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.pipeline.estimates import Estimate
 from tests.helpers import pose_regions_of
 
 

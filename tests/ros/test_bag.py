@@ -9,14 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.extras import MissingPackageError
-from conformodal.datasets.streams.frames import Frame
-from conformodal.datasets.streams.opening import open_stream
-from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import Trajectory
+from conformodal.geometry import Trajectory
+from conformodal.io.streams.frames import Frame
+from conformodal.io.streams.opening import open_stream
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.pipeline.results.records import read_region_records
+from conformodal.pipeline.results.runs import read_trajectories
 from conformodal.ros.bag import BagWriter
 from conformodal.ros.conventions import TOPICS, Conventions, RosError
-from conformodal.running.results.records import read_region_records
-from conformodal.running.results.runs import read_trajectories
 from tests.helpers import run_ok
 
 pytest.importorskip("rosbags")
@@ -104,10 +104,10 @@ def test_poses_are_the_online_trajectory_and_the_last_path_has_them_revised(reco
 
 
 def test_images_are_those_of_the_source(recorded, small_world):
-    from conformodal.datasets import read_sequence
-    from conformodal.model.store import load_model
+    from conformodal.io import read_recording
+    from conformodal.pipeline.store import load_model
 
-    sequence, frames = read_sequence(small_world.folder), load_model(small_world.model).split.test
+    sequence, frames = read_recording(small_world.folder), load_model(small_world.model).split.test
     messages = read(recorded[1])["/conformodal/image/compressed"]
     _, first = messages[0]
     assert first.header.frame_id == "camera_optical_frame"

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import Trajectory
-from conformodal.reasoning.candidates import Candidates, mixture_covariance
+from conformodal.geometry import Trajectory
+from conformodal.localizer.candidates import Candidates, mixture_covariance
+from conformodal.localizer.region_rules import EvidenceType
 from conformodal.ros.conventions import Conventions, Covariance, RosError
 from conformodal.ros.conversion import Conversion
 from conformodal.ros.messages import make_pose, rosbags_factory

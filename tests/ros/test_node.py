@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from conformodal.core.extras import MissingPackageError
-from conformodal.datasets import read_sequence
-from conformodal.model.store import load_model
+from conformodal.io import read_recording
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.store import load_model
 from conformodal.ros import node as node_module
 from conformodal.ros.conventions import TOPICS
 from conformodal.ros.conversion import Conversion
 from conformodal.ros.messages import NANOSECONDS
 from conformodal.ros.node import PoseNode, message_class
-from conformodal.running.estimator import VisualOdometry
 
 pytest.importorskip("rosbags")
 
@@ -39,7 +39,7 @@ def info_message(ros, camera, **changed):
 
 @pytest.fixture(scope="module")
 def world(small_world):
-    return read_sequence(small_world.folder), load_model(small_world.model)
+    return read_recording(small_world.folder), load_model(small_world.model)
 
 
 @pytest.fixture

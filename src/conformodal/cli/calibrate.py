@@ -9,15 +9,15 @@ from typing import Annotated
 import typer
 
 from conformodal.core.words import counted, noun_for
-from conformodal.datasets import Layout
-from conformodal.model.config import Method
-from conformodal.model.errors import OdometryError
-from conformodal.model.radius import Guarantee, recordings_needed
-from conformodal.model.store import load_model, save_model
-from conformodal.running.paths import METHODS
-from conformodal.running.results.folders import lock_output
-from conformodal.running.selection import calibrate_selection
-from conformodal.vision.features import FeatureCache
+from conformodal.features.extract import FeatureCache
+from conformodal.io import Layout
+from conformodal.localizer.radius import Guarantee, recordings_needed
+from conformodal.pipeline.config import Method
+from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.paths import METHODS
+from conformodal.pipeline.results.folders import lock_output
+from conformodal.pipeline.selection import calibrate_selection
+from conformodal.pipeline.store import load_model, save_model
 
 from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
 from .options import OptionError

@@ -15,26 +15,26 @@ from rich.table import Table
 from conformodal.core.files import default_cache_dir
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
-from conformodal.datasets import DatasetError, Layout, Sequence, check_sequence
-from conformodal.datasets.cameras import camera_beside
-from conformodal.datasets.joining import join_sequences
-from conformodal.datasets.lenses import as_camera
-from conformodal.datasets.reading import Note
-from conformodal.datasets.streams.frames import FrameStream
-from conformodal.datasets.streams.stored import SequenceStream
-from conformodal.datasets.writing import WRITABLE, write_layout
-from conformodal.localization.overlap import Overlap, measure_overlap
-from conformodal.model.model import PoseModel
-from conformodal.model.store import load_model, model_digest
-from conformodal.poses import PinholeCamera
-from conformodal.poses.metrics import MAX_GAP_S
+from conformodal.features.extract import FeatureCache
+from conformodal.geometry import PinholeCamera
+from conformodal.geometry.metrics import MAX_GAP_S
+from conformodal.io import DatasetError, Layout, Recording, check_recording
+from conformodal.io.cameras import camera_beside
+from conformodal.io.convert import WRITABLE, write_layout
+from conformodal.io.joining import join_recordings
+from conformodal.io.lenses import as_camera
+from conformodal.io.reading import Note
+from conformodal.io.streams.frames import FrameStream
+from conformodal.io.streams.stored import SequenceStream
+from conformodal.localizer.overlap import Overlap, measure_overlap
+from conformodal.pipeline.depths import measure_depths
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.results.folders import lock_output
+from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.results.runs import write_metrics
+from conformodal.pipeline.store import load_model, model_digest
 from conformodal.quality.advice import describe_quality, quality_record, record_next
 from conformodal.quality.examining import RecordingQuality, examine
-from conformodal.running.results.folders import lock_output
-from conformodal.running.results.provenance import provenance
-from conformodal.running.results.runs import write_metrics
-from conformodal.training.depths import measure_depths
-from conformodal.vision.features import FeatureCache
 
 from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
 from .options import OptionError
@@ -85,13 +85,13 @@ def _check(
         import conformodal.report.quality  # noqa: F401, PLC0415 - refuse to begin where what draws is not installed
     open_one = partial(open_sequence, layout=layout, require_poses=False, follow_outside=follow_outside, focal=focal)
     parts = [open_one(its, notes=False) for its in folders]
-    sequence = join_sequences(parts)
+    sequence = join_recordings(parts)
     known = None if model is None else load_model(model)
     if known is not None:
         known.check_camera(sequence.camera)
         cache = cache_folder(cache)
     with progress_bars() as report:
-        found = check_sequence(sequence, lambda done, total: report("images", done, total))
+        found = check_recording(sequence, lambda done, total: report("images", done, total))
         quality = _quality(sequence, known, cache or default_cache_dir(), report)
     table = Table(show_header=False)
     recordings = f" in {found.n_recordings} recordings" if found.n_recordings > 1 else ""
@@ -189,7 +189,7 @@ def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
 
 
 def _quality(
-    sequence: Sequence, model: PoseModel | None, cache: Path, report: StageProgress
+    sequence: Recording, model: PoseModel | None, cache: Path, report: StageProgress
 ) -> RecordingQuality | None:
     """Examine a recording; None where there is nothing to go by, neither poses nor a model."""
     if model is not None:
@@ -198,7 +198,7 @@ def _quality(
     return None if found.poses is None else found
 
 
-def _report_overlaps(parts: list[Sequence]) -> list[Overlap]:
+def _report_overlaps(parts: list[Recording]) -> list[Overlap]:
     """How each data set after the first overlaps with the first."""
     known, found = parts[0], []
     for its in parts[1:]:

@@ -12,21 +12,21 @@ from typing import Annotated
 
 import typer
 
+from conformodal.cli.demo_pages import answer_test_part, describe_places, describe_ratios, page_of
 from conformodal.core.files import FolderError, write_whole
 from conformodal.core.progress import StageProgress, stage_of
-from conformodal.datasets import Sequence, read_sevenscenes
-from conformodal.datasets.corridor.render import Renderer
-from conformodal.datasets.corridor.world import CorridorWorld
-from conformodal.datasets.corridor.writer import write_corridor
-from conformodal.model.config import Method, ModelConfig
-from conformodal.quality.corridor_ambiguity import check_ambiguity
+from conformodal.corridor.ambiguity import check_ambiguity
+from conformodal.corridor.render import Renderer
+from conformodal.corridor.world import CorridorWorld
+from conformodal.corridor.writer import write_corridor
+from conformodal.features.settings import TrainingConfig
+from conformodal.io import Recording, read_sevenscenes
+from conformodal.pipeline.config import Method, ModelConfig
+from conformodal.pipeline.results.folders import lock_output
+from conformodal.pipeline.results.runs import write_metrics
 from conformodal.report.page import write_page
-from conformodal.running.results.folders import lock_output
-from conformodal.running.results.runs import write_metrics
-from conformodal.vision.settings import TrainingConfig
 
 from .console import print_where, progress_bars, report_errors, report_line
-from .demo_pages import answer_test_part, describe_places, describe_ratios, page_of
 from .outcome import report_outcome
 from .train import train_on
 
@@ -75,7 +75,7 @@ def _config(method: Method, seed: int) -> ModelConfig:
     return ModelConfig(alpha=ALPHA, seed=seed, training=training)
 
 
-def _corridor(place: Path, seed: int, report: StageProgress) -> Sequence:
+def _corridor(place: Path, seed: int, report: StageProgress) -> Recording:
     """The flight of a seed; one that an earlier demo wrote is not written again."""
     mark, flight, old = place / "demo.json", place / "seq-01", place / ".old"
     wanted, found = {"seed": seed, "n_modules": N_MODULES, "n_laps": N_LAPS}, None

@@ -10,28 +10,27 @@ from typing import Any
 
 import numpy as np
 
+from conformodal.cli.outcome import GroundTruth, Part, part_frames, run_metrics
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted, noun_for
-from conformodal.datasets import Sequence
-from conformodal.datasets.corridor.world import CorridorWorld
-from conformodal.model.config import Method, ModelConfig
-from conformodal.model.model import ONLINE, PoseModel
-from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import Trajectory
-from conformodal.quality.corridor_ambiguity import AmbiguityCheck
+from conformodal.corridor.ambiguity import AmbiguityCheck
+from conformodal.corridor.world import CorridorWorld
+from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.geometry import Trajectory
+from conformodal.io import Recording
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.pipeline.config import Method, ModelConfig
+from conformodal.pipeline.estimates import OdometryRun
+from conformodal.pipeline.evaluate import path_coverage_table
+from conformodal.pipeline.model import ONLINE, PoseModel
+from conformodal.pipeline.paper_odometry import odometry_of
+from conformodal.pipeline.plain import train_plain
+from conformodal.pipeline.results.runs import write_run
+from conformodal.pipeline.results.statistics import RegionStatistics
+from conformodal.pipeline.train import prepare_training_data
 from conformodal.report.figures import plan_figure
 from conformodal.report.page import PageFigure, ReportContent
 from conformodal.report.viewer import Thumbnails, make_viewer
-from conformodal.running.estimates import OdometryRun
-from conformodal.running.paper_odometry import odometry_of
-from conformodal.running.results.evaluation import path_coverage_table
-from conformodal.running.results.runs import write_run
-from conformodal.running.results.statistics import RegionStatistics
-from conformodal.training.plain import train_plain
-from conformodal.training.training import prepare_training_data
-from conformodal.vision.features import FeatureCache, extract_features
-
-from .outcome import GroundTruth, Part, part_frames, run_metrics
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +43,7 @@ class Outcome:
 
 
 def answer_test_part(
-    model: PoseModel, config: ModelConfig, out: Path, sequence: Sequence, report: StageProgress
+    model: PoseModel, config: ModelConfig, out: Path, sequence: Recording, report: StageProgress
 ) -> Outcome:
     """Answer the test part by a model, and by a regressor with the same features, epochs and settings."""
     frames = part_frames(model, sequence, Part.TEST)
@@ -96,7 +95,7 @@ def describe_places(record: dict[str, Any]) -> str:
 
 
 def page_of(
-    outcome: Outcome, sequence: Sequence, model: PoseModel, world: CorridorWorld, alike: AmbiguityCheck, folder: Path
+    outcome: Outcome, sequence: Recording, model: PoseModel, world: CorridorWorld, alike: AmbiguityCheck, folder: Path
 ) -> ReportContent:
     """The page of answers in a folder, with the plan of a frame that has most look-alike places, all of them held."""
     run, metrics = outcome.run, outcome.metrics

@@ -11,16 +11,16 @@ import typer
 
 from conformodal.core.files import writing_in
 from conformodal.core.words import counted, noun_for
-from conformodal.datasets import Layout
-from conformodal.localization.targets import TARGET_NAMES
-from conformodal.model.errors import OdometryError
-from conformodal.poses import Alignment, Trajectory, align, associate, poses_at, recall, relative_errors
-from conformodal.poses.alignment import straightness
-from conformodal.poses.metrics import KITTI_LENGTHS_M, MAX_GAP_S, clock_hint, kitti_drift
-from conformodal.running.results.evaluation import bounded_coverage, error_table
-from conformodal.running.results.folders import check_belongs, lock_output, recover, result_digests
-from conformodal.running.results.provenance import provenance
-from conformodal.running.results.records import (
+from conformodal.geometry import Alignment, Trajectory, align, associate, poses_at, recall, relative_errors
+from conformodal.geometry.alignment import straightness
+from conformodal.geometry.metrics import KITTI_LENGTHS_M, MAX_GAP_S, clock_hint, kitti_drift
+from conformodal.io import Layout
+from conformodal.localizer.targets import TARGET_NAMES
+from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.evaluate import bounded_coverage, error_table
+from conformodal.pipeline.results.folders import check_belongs, lock_output, recover, result_digests
+from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.results.records import (
     METRICS,
     REGIONS,
     read_region_records,
@@ -28,7 +28,7 @@ from conformodal.running.results.records import (
     records_contain,
     records_hold,
 )
-from conformodal.running.results.runs import read_metrics, read_trajectories, read_unfinished, write_metrics
+from conformodal.pipeline.results.runs import read_metrics, read_trajectories, read_unfinished, write_metrics
 
 from .console import console, print_errors, print_where, report_errors, report_line, report_strongly
 from .outcome import describe_coverage

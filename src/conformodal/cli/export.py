@@ -11,18 +11,18 @@ import typer
 
 from conformodal.core.files import write_whole
 from conformodal.core.words import counted, noun_for
-from conformodal.datasets import Layout, Sequence
-from conformodal.localization.head_source import HeadSource
-from conformodal.localization.landmarks.source import LandmarkSource
-from conformodal.localization.targets import TARGET_NAMES
-from conformodal.model.config import Runtime, config_of
-from conformodal.model.errors import OdometryError
-from conformodal.model.identity import identify
-from conformodal.model.model import PoseModel
-from conformodal.model.store import load_model, save_model
-from conformodal.running.results.folders import lock_output
-from conformodal.vision.features import FeatureCache
-from conformodal.vision.onnx_backbone import OnnxBackbone
+from conformodal.features.extract import FeatureCache
+from conformodal.features.onnx_backbone import OnnxBackbone
+from conformodal.io import Layout, Recording
+from conformodal.localizer.sources.head import HeadSource
+from conformodal.localizer.sources.landmarks import LandmarkSource
+from conformodal.localizer.targets import TARGET_NAMES
+from conformodal.pipeline.config import Runtime, config_of
+from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.identity import identify
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.results.folders import lock_output
+from conformodal.pipeline.store import load_model, save_model
 
 from .console import console, print_where, progress_bars, report_errors
 from .options import OptionError
@@ -74,7 +74,9 @@ def export(
         (out / _NETWORK).unlink(missing_ok=True)  # of an earlier model
         head = made.localizer.find(HeadSource)
         if with_head and head is not None:
-            from conformodal.networks.exporting import with_head as network_with_head  # noqa: PLC0415 - torch takes a second
+            from conformodal.features.export import (  # noqa: PLC0415 - torch takes a second
+                with_head as network_with_head,
+            )
 
             assert isinstance(made.backbone, OnnxBackbone)
             write_whole(out / _NETWORK, network_with_head(made.backbone, head.head, TARGET_NAMES))
@@ -86,15 +88,17 @@ def _in_onnx(model: PoseModel, cache: FeatureCache) -> PoseModel:
     """A model with its network in ONNX, or in eight bits where it is already."""
     if isinstance(model.backbone, OnnxBackbone):
         return model
-    from conformodal.networks.exporting import exported  # noqa: PLC0415 - torch takes a second to import
-    from conformodal.networks.torch_backbone import TorchBackbone  # noqa: PLC0415 - torch takes a second to import
+    from conformodal.features.export import exported  # noqa: PLC0415 - torch takes a second to import
+    from conformodal.features.networks.torch_backbone import (  # noqa: PLC0415 - torch takes a second to import
+        TorchBackbone,
+    )
 
     assert isinstance(model.backbone, TorchBackbone)
     configuration = {**model.configuration, "runtime": str(Runtime.ONNX)}
     return replace(model, backbone=exported(model.backbone, cache), configuration=configuration)
 
 
-def _check_same_data(model: PoseModel, sequence: Sequence, folder: Path) -> None:
+def _check_same_data(model: PoseModel, sequence: Recording, folder: Path) -> None:
     """Refuse other data than the model was trained on."""
     known, here = model.known_frames, identify(sequence, model.known_frames)
     same = int((known.find(here).at[: len(here)] == np.arange(len(known))[: len(here)]).sum())

@@ -10,15 +10,15 @@ from typing import Annotated
 import typer
 
 from conformodal.core.words import counted
-from conformodal.datasets import DatasetWarning, Layout
-from conformodal.model.store import load_model, model_digest, save_model
+from conformodal.features.extract import FeatureCache
+from conformodal.io import DatasetWarning, Layout
+from conformodal.pipeline.extending import extend_model
+from conformodal.pipeline.results.folders import lock_output
+from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.results.runs import write_metrics
+from conformodal.pipeline.store import load_model, model_digest, save_model
 from conformodal.quality.advice import describe_guarantee
 from conformodal.quality.guarantee import guarantees
-from conformodal.running.results.folders import lock_output
-from conformodal.running.results.provenance import provenance
-from conformodal.running.results.runs import write_metrics
-from conformodal.training.extending import extend_model
-from conformodal.vision.features import FeatureCache
 
 from .console import print_where, progress_bars, report_errors, report_line, report_strongly, warning_lines
 from .model_notes import describe_landmarks

@@ -10,11 +10,11 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from conformodal.model.config import Runtime
-from conformodal.model.model import PoseModel
-from conformodal.model.region_rules import EvidenceType
-from conformodal.model.store import load_model, model_digest
-from conformodal.vision.onnx_backbone import OnnxBackbone
+from conformodal.features.onnx_backbone import OnnxBackbone
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.pipeline.config import Runtime
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.store import load_model, model_digest
 
 from .console import report_errors, report_line
 from .sources import SavedModel

@@ -9,12 +9,12 @@ import numpy as np
 from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.core.arrays import IntArray
 from conformodal.core.words import counted
-from conformodal.datasets import Split, frames_to_known
-from conformodal.localization.landmarks.source import LandmarkSource
-from conformodal.localization.targets import TARGET_NAMES
-from conformodal.model.config import Method, ModelConfig
-from conformodal.model.model import PoseModel
-from conformodal.poses import PinholeCamera
+from conformodal.geometry import PinholeCamera
+from conformodal.io import Split, frames_to_known
+from conformodal.localizer.sources.landmarks import LandmarkSource
+from conformodal.localizer.targets import TARGET_NAMES
+from conformodal.pipeline.config import Method, ModelConfig
+from conformodal.pipeline.model import PoseModel
 from conformodal.quality.advice import WHERE
 from conformodal.quality.guarantee import guarantees
 

@@ -10,15 +10,15 @@ import numpy as np
 
 from conformodal.core.arrays import IntArray
 from conformodal.core.words import counted, noun_for
-from conformodal.datasets import Sequence
-from conformodal.model.errors import OdometryError
-from conformodal.model.identity import identify
-from conformodal.model.model import HINDSIGHT, ONLINE, PoseModel
-from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import Trajectory
-from conformodal.running.results.evaluation import coverage_table, error_table, is_exchangeable, radius_table
-from conformodal.running.results.provenance import provenance
-from conformodal.running.results.statistics import RegionStatistics
+from conformodal.geometry import Trajectory
+from conformodal.io import Recording
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.evaluate import coverage_table, error_table, is_exchangeable, radius_table
+from conformodal.pipeline.identity import identify
+from conformodal.pipeline.model import HINDSIGHT, ONLINE, PoseModel
+from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.results.statistics import RegionStatistics
 
 from .console import console, print_errors, report_line, report_strongly
 
@@ -44,7 +44,7 @@ class GroundTruth:
     paths: dict[str, Any] | None = None  # coverage of their regions from posteriors; None without such regions
 
 
-def part_frames(model: PoseModel, sequence: Sequence, part: Part) -> IntArray | None:
+def part_frames(model: PoseModel, sequence: Recording, part: Part) -> IntArray | None:
     """Where the frames of a part of the model's own data set are in a sequence, increasing; None for all.
 
     They are known by their pixels. Those that the sequence has not are left out, and their number is printed.

@@ -14,29 +14,29 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 import typer
 
-from conformodal.datasets import Layout, Sequence
-from conformodal.datasets.lenses import as_camera, describe_change
-from conformodal.datasets.streams.bag import BagStream
-from conformodal.datasets.streams.frames import Frame, FrameStream, SourceError
-from conformodal.datasets.streams.joined import join_streams
-from conformodal.datasets.streams.prefetch import Pace, prefetch
-from conformodal.datasets.streams.stored import SequenceStream
-from conformodal.model.errors import OdometryError
-from conformodal.model.model import PoseModel
-from conformodal.model.region_rules import EvidenceType
-from conformodal.model.store import load_model, model_digest
-from conformodal.poses import Trajectory
+from conformodal.geometry import Trajectory
+from conformodal.io import Layout, Recording
+from conformodal.io.lenses import as_camera, describe_change
+from conformodal.io.streams.bag import BagStream
+from conformodal.io.streams.frames import Frame, FrameStream, SourceError
+from conformodal.io.streams.joined import join_streams
+from conformodal.io.streams.prefetch import Pace, prefetch
+from conformodal.io.streams.stored import SequenceStream
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.estimates import Estimate
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.paper_odometry import odometry_of
+from conformodal.pipeline.results.folders import lock_output, result_digests
+from conformodal.pipeline.results.parquet import write_region_parquet
+from conformodal.pipeline.results.runs import read_trajectories, write_metrics
+from conformodal.pipeline.results.writer import ResultsWriter
+from conformodal.pipeline.store import load_model, model_digest
+from conformodal.pipeline.stream import StreamRunner
 from conformodal.report.live import LiveView
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
 from conformodal.ros.bag import BagWriter
-from conformodal.running.estimates import Estimate
-from conformodal.running.paper_odometry import odometry_of
-from conformodal.running.results.folders import lock_output, result_digests
-from conformodal.running.results.parquet import write_region_parquet
-from conformodal.running.results.runs import read_trajectories, write_metrics
-from conformodal.running.results.writer import ResultsWriter
-from conformodal.running.streaming import StreamRunner
 
 from .console import print_where, report_errors, report_line, report_strongly
 from .failures import BROKE_OFF, stop_code, stopping
@@ -200,7 +200,7 @@ def _stream_through(
 
     Returns the metrics, and whether the region of an image that shows a known place is unbounded in some target.
     """
-    sequence: Sequence | None = stream.sequence if isinstance(stream, SequenceStream) else None
+    sequence: Recording | None = stream.sequence if isinstance(stream, SequenceStream) else None
     shown = _Shown(watching)
     lossy = stream.live or how.pace is Pace.CAMERA
     odometry = odometry_of(model)

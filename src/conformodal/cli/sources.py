@@ -15,16 +15,17 @@ import typer
 
 from conformodal.core.files import check_writable, default_cache_dir
 from conformodal.core.words import counted
-from conformodal.datasets import DatasetError, DatasetWarning, Layout, Sequence, read_sequence, recognise
-from conformodal.datasets.joining import join_sequences
-from conformodal.datasets.reading import Note, by_what
-from conformodal.datasets.streams.bag import BagStream
-from conformodal.datasets.streams.bag_poses import read_bag_poses
-from conformodal.datasets.streams.frames import FrameStream
-from conformodal.datasets.streams.opening import open_stream
-from conformodal.datasets.streams.stored import SequenceStream
-from conformodal.poses import PinholeCamera, Trajectory, read_tum
-from conformodal.poses.metrics import MAX_GAP_S
+from conformodal.geometry import PinholeCamera, Trajectory
+from conformodal.geometry.metrics import MAX_GAP_S
+from conformodal.io import DatasetError, DatasetWarning, Layout, Recording, read_recording, recognise
+from conformodal.io.joining import join_recordings
+from conformodal.io.pose_files import read_tum
+from conformodal.io.reading import Note, by_what
+from conformodal.io.streams.bag import BagStream
+from conformodal.io.streams.bag_poses import read_bag_poses
+from conformodal.io.streams.frames import FrameStream
+from conformodal.io.streams.opening import open_stream
+from conformodal.io.streams.stored import SequenceStream
 
 from .console import report_line, warning_lines
 from .options import OptionError
@@ -76,14 +77,14 @@ def open_sequence(
     follow_outside: bool = False,
     focal: str | None = None,
     notes: bool = True,
-) -> Sequence:
+) -> Recording:
     """Read a data set in a layout; says what was recognised, and the reader's notes."""
     if layout is Layout.AUTO:
         layout = recognise(path)
         report_line(f"{path}: {layout} layout")
     with warnings.catch_warnings():  # they are printed here
         warnings.simplefilter("ignore", DatasetWarning)
-        sequence = read_sequence(path, layout, require_poses=require_poses, follow_outside=follow_outside, focal=focal)
+        sequence = read_recording(path, layout, require_poses=require_poses, follow_outside=follow_outside, focal=focal)
     if notes:
         _report_warnings(sequence.notes)
     return sequence
@@ -97,14 +98,14 @@ def open_sequences(
     follow_outside: bool = False,
     focal: str | None = None,
     test: Path | None = None,
-) -> Sequence:
-    """Read data sets as one, see :func:`~conformodal.datasets.joining.join_sequences`; `test` is one that tests."""
+) -> Recording:
+    """Read data sets as one, see :func:`~conformodal.io.joining.join_recordings`; `test` is one that tests."""
     every = [*paths, *([] if test is None else [test])]
     open_one = partial(
         open_sequence, layout=layout, require_poses=require_poses, follow_outside=follow_outside, focal=focal
     )
     read = [open_one(path) for path in every]
-    whole = join_sequences(read, None if test is None else [path is test for path in every])
+    whole = join_recordings(read, None if test is None else [path is test for path in every])
     _report_warnings(whole.notes[sum(len(its.notes) for its in read) :])
     return whole
 
@@ -133,7 +134,7 @@ def open_source(
     as_trained: bool = False,
     follow_outside: bool = False,
 ) -> FrameStream:
-    """Open anything that gives frames, see :func:`~conformodal.datasets.streams.opening.open_stream`; says what it is.
+    """Open anything that gives frames, see :func:`~conformodal.io.streams.opening.open_stream`; says what it is.
 
     With `as_trained`, a data set where only some frames have poses is read as for training: without the others.
     """
@@ -142,7 +143,7 @@ def open_source(
         stream = open_stream(source, layout, camera=camera, topic=topic, follow_outside=follow_outside)
         if as_trained and isinstance(stream, SequenceStream) and stream.sequence.truth is None:
             with suppress(DatasetError):  # no frame has a pose
-                again = read_sequence(Path(source), layout, require_poses=True, follow_outside=follow_outside)
+                again = read_recording(Path(source), layout, require_poses=True, follow_outside=follow_outside)
                 stream = SequenceStream(again)
     if topic is not None and not isinstance(stream, BagStream):
         raise OptionError(f"--topic is for ROS recordings, and {source} is not one, got {topic!r}")

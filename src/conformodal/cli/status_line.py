@@ -9,8 +9,8 @@ from typing import Self
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from conformodal.core.words import counted
-from conformodal.model.region_rules import EvidenceType
-from conformodal.running.estimates import Estimate
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.pipeline.estimates import Estimate
 
 from .console import errors_console, plain
 

@@ -14,33 +14,27 @@ import typer
 from conformodal.core.arrays import IntArray
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
-from conformodal.datasets import Layout, Sequence, SplitKind
-from conformodal.localization.evidence import FrameEvidence
-from conformodal.localization.landmarks.source import LandmarkSource
-from conformodal.localization.source import PoseSource
-from conformodal.model.config import Calibration, Method, ModelConfig, Runtime
-from conformodal.model.model import PoseModel
-from conformodal.model.store import model_digest, save_model
-from conformodal.networks.lite import NETWORKS, find_network
+from conformodal.features.extract import FeatureCache
+from conformodal.features.networks.lite import NETWORKS, find_network
+from conformodal.features.settings import TrainingConfig
+from conformodal.io import Layout, Recording, SplitKind
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.sources.landmarks import LandmarkSource
+from conformodal.localizer.sources.registry import PoseSource
+from conformodal.pipeline.config import Calibration, Method, ModelConfig, Runtime
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.results.folders import lock_output
+from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.results.runs import write_metrics
+from conformodal.pipeline.store import model_digest, save_model
+from conformodal.pipeline.train import prepare_training_data, train_model
+from conformodal.pipeline.training_data import TrainingData
 from conformodal.quality.advice import describe_guarantee, describe_quality, quality_record, record_next
 from conformodal.quality.examining import RecordingQuality, examine
 from conformodal.quality.guarantee import guarantees
-from conformodal.running.results.folders import lock_output
-from conformodal.running.results.provenance import provenance
-from conformodal.running.results.runs import write_metrics
-from conformodal.training.training import prepare_training_data, train_model
-from conformodal.training.training_data import TrainingData
-from conformodal.vision.features import FeatureCache
-from conformodal.vision.settings import TrainingConfig
 
 from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
-from .model_notes import (
-    describe_calibration,
-    describe_distances,
-    describe_landmarks,
-    describe_repeated,
-    distances,
-)
+from .model_notes import describe_calibration, describe_distances, describe_landmarks, describe_repeated, distances
 from .options import OptionError, share_of, was_given
 from .sources import AllData, Cache, DataLayout, Focal, FollowOutside, cache_folder, open_sequences
 
@@ -176,7 +170,7 @@ def train(
 
 
 def train_on(
-    sequence: Sequence,
+    sequence: Recording,
     config: ModelConfig,
     out: Path,
     *,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from conformodal.model.errors import ResultsError
+from conformodal.pipeline.errors import ResultsError
 
 from .console import console, report_errors, report_line
 

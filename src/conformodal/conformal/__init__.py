@@ -31,10 +31,10 @@ from .regions import Regions
 from .scores import Aps, Density, Lac, LinearDensity, Score
 
 if TYPE_CHECKING:
-    from conformodal.conformal.learning.quick import QuickDensity
-    from conformodal.conformal.learning.regressor import ConformalRegressor
-    from conformodal.conformal.learning.scorers import RegionScorer, region_scorers
-    from conformodal.conformal.learning.stacked import StackedDensity
+    from .learning.quick import QuickDensity
+    from .learning.regressor import ConformalRegressor
+    from .learning.scorers import RegionScorer, region_scorers
+    from .learning.stacked import StackedDensity
 
 __getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
     __name__,

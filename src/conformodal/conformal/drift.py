@@ -8,12 +8,12 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.conformal.calibration.split import SplitConformal
+from conformodal.conformal.diagnostics.uniformity import check_uniformity
 from conformodal.core.arrays import FloatArray, RealArray
 from conformodal.core.words import counted
 
-from .calibration.split import SplitConformal
 from .checks import Probabilities, as_number, as_random, as_scores
-from .diagnostics.uniformity import check_uniformity
 from .errors import ConformalError
 
 # of the bets, and the share of capital that is spread anew over them before each row (Vovk 2021: the Simple Jumper)

@@ -16,10 +16,10 @@ from typing import Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
+from conformodal.conformal.calibration.base import Calibrator, Empty
 from conformodal.core.arrays import FloatArray, RealArray
 
 from .bins import QuantileBins
-from .calibration.base import Calibrator, Empty
 from .checks import Alpha, Probabilities, as_alpha, as_count, as_doubles, as_number, brief
 from .errors import ConformalError
 from .regions import Regions

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from conformodal.core.words import counted, finite_or_none, listed
-from conformodal.model.region_rules import EvidenceType, Sharing
+from conformodal.localizer.region_rules import EvidenceType, Sharing
 
 from .examining import RecordingQuality
 from .guarantee import N_NEW, EvidenceGuarantee

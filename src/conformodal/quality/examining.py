@@ -9,15 +9,15 @@ import numpy as np
 
 from conformodal.core.arrays import BoolArray, IntArray, evenly_spread
 from conformodal.core.progress import StageProgress, stage_of
-from conformodal.datasets import ImageError, Sequence
-from conformodal.localization.evidence import FrameEvidence
-from conformodal.localization.local_features import frame_features
-from conformodal.model.identity import identify
-from conformodal.model.model import PoseModel
-from conformodal.model.radius import depth_or_default
-from conformodal.poses import Trajectory
-from conformodal.training.depths import measure_depths
-from conformodal.vision.features import FeatureCache, extract_features
+from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.geometry import Trajectory
+from conformodal.io import ImageError, Recording
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.radius import depth_or_default
+from conformodal.pipeline.depths import measure_depths
+from conformodal.pipeline.identity import identify
+from conformodal.pipeline.model import PoseModel
+from conformodal.tracking.flow import frame_features
 
 from .guarantee import EvidenceGuarantee, guarantees
 from .place_ambiguity import Ambiguity, ambiguity
@@ -29,7 +29,7 @@ from .view_coverage import PoseCoverage, ViewScale, pose_coverage
 class RecordingQuality:
     """Findings about a recording."""
 
-    sequence: Sequence
+    sequence: Recording
     posed: IntArray  # (n,) numbers of the frames that have a pose
     poses: Trajectory | None  # theirs; None where none has one
     # (k,) numbers of the frames that the model's sources know, -1 where the recording lacks them; all without a model
@@ -57,7 +57,7 @@ Look = Callable[[IntArray], tuple[IntArray, FrameEvidence]]
 
 
 def examine(
-    sequence: Sequence,
+    sequence: Recording,
     model: PoseModel | None = None,
     *,
     just_trained: Look | None = None,
@@ -97,7 +97,7 @@ def examine(
     return RecordingQuality(sequence, posed, poses, at, scale, coverage, places, guarantees(model))
 
 
-def _looker(sequence: Sequence, model: PoseModel, cache: FeatureCache, progress: StageProgress | None) -> Look:
+def _looker(sequence: Recording, model: PoseModel, cache: FeatureCache, progress: StageProgress | None) -> Look:
     """Computes features of images; images that cannot be read are left out."""
 
     def look(wanted: IntArray) -> tuple[IntArray, FrameEvidence]:
@@ -119,7 +119,7 @@ def _looker(sequence: Sequence, model: PoseModel, cache: FeatureCache, progress:
     return look
 
 
-def _depth(sequence: Sequence) -> float:
+def _depth(sequence: Recording) -> float:
     """Of what the camera sees, from images and poses; NaN where it cannot be told."""
     if sequence.truth is None:
         return float("nan")

@@ -9,8 +9,8 @@ from math import ceil
 import numpy as np
 
 from conformodal.conformal import SplitConformal, coverage_band
-from conformodal.model.model import PoseModel
-from conformodal.model.region_rules import MATCHED_TYPES, EvidenceType, RegionRules, Sharing
+from conformodal.localizer.region_rules import MATCHED_TYPES, EvidenceType, RegionRules, Sharing
+from conformodal.pipeline.model import PoseModel
 
 N_NEW = 1000
 _DIGITS = 10_000

@@ -9,10 +9,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
-from conformodal.localization.targets import pose_targets
-from conformodal.model.model import Localization
-from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import Trajectory
+from conformodal.geometry import Trajectory
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.targets import pose_targets
+from conformodal.pipeline.model import Localization
 
 from .settings import QUALITY
 from .view_coverage import ViewScale, runs_of

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
-from conformodal.poses import PinholeCamera, Trajectory, angle_between_quats
+from conformodal.geometry import PinholeCamera, Trajectory, angle_between_quats
 
 from .settings import QUALITY
 

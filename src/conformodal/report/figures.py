@@ -15,8 +15,8 @@ import numpy as np
 from conformodal.core.arrays import FloatArray
 from conformodal.core.extras import require_extra
 from conformodal.core.words import as_utf8
-from conformodal.poses import Trajectory
-from conformodal.running.estimates import OdometryRun
+from conformodal.geometry import Trajectory
+from conformodal.pipeline.estimates import OdometryRun
 
 with require_extra("figures", "a figure"):
     import matplotlib as mpl

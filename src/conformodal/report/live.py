@@ -11,11 +11,11 @@ from conformodal.conformal import ConformodalError
 from conformodal.core.arrays import FloatArray
 from conformodal.core.extras import require_extra
 from conformodal.core.words import as_utf8
-from conformodal.datasets.streams.frames import Frame
-from conformodal.localization.regions import PoseRegions
-from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import Trajectory
-from conformodal.running.estimates import Estimate
+from conformodal.geometry import Trajectory
+from conformodal.io.streams.frames import Frame
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import PoseRegions
+from conformodal.pipeline.estimates import Estimate
 
 _MOST_CUBOIDS = 256
 _RANGE_M = 100.0  # the whole line is drawn this far around the chosen position

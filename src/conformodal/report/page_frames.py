@@ -13,8 +13,8 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted
-from conformodal.model.region_rules import EvidenceType
-from conformodal.poses import Trajectory, angle_between_quats
+from conformodal.geometry import Trajectory, angle_between_quats
+from conformodal.localizer.region_rules import EvidenceType
 
 Intervals = list[list[float | None]]
 _MOST_BOXES = 64  # of a region that is a product

@@ -14,9 +14,10 @@ import numpy as np
 from conformodal.core.arrays import FloatArray, UInt8Array
 from conformodal.core.extras import require_extra
 from conformodal.core.words import counted
-from conformodal.model.model import ONLINE
-from conformodal.poses import Trajectory, read_tum, trajectory_errors
-from conformodal.running.results.records import REGIONS, TRAJECTORY, TRUTH, iter_region_records
+from conformodal.geometry import Trajectory, trajectory_errors
+from conformodal.io.pose_files import read_tum
+from conformodal.pipeline.model import ONLINE
+from conformodal.pipeline.results.records import REGIONS, TRAJECTORY, TRUTH, iter_region_records
 
 from .page_frames import Paths, describe_run, kind_of, page_frame, with_image
 

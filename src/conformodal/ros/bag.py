@@ -9,9 +9,9 @@ from typing import Any
 import cv2
 
 from conformodal.core.extras import require_extra
-from conformodal.datasets.streams.frames import Frame
-from conformodal.poses import Trajectory
-from conformodal.running.estimates import Estimate
+from conformodal.geometry import Trajectory
+from conformodal.io.streams.frames import Frame
+from conformodal.pipeline.estimates import Estimate
 
 from .conventions import IMAGE, TOPICS, TRUTH, Conventions, RosError
 from .conversion import Conversion

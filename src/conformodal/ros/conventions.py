@@ -7,8 +7,8 @@ from enum import StrEnum
 
 from conformodal.core.errors import ConformodalError
 from conformodal.core.ranges import as_member
-from conformodal.model.region_rules import EvidenceType
-from conformodal.running.estimates import Estimate
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.pipeline.estimates import Estimate
 
 
 class RosError(ConformodalError):

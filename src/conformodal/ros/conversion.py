@@ -15,10 +15,10 @@ import numpy as np
 from conformodal.core.arrays import FloatArray
 from conformodal.core.ranges import as_member
 from conformodal.core.words import as_utf8
-from conformodal.localization.regions import PoseRegions
-from conformodal.poses import Trajectory
-from conformodal.reasoning.candidates import LEAST_VARIANCE, Candidates, weights_of
-from conformodal.running.estimates import Estimate
+from conformodal.geometry import Trajectory
+from conformodal.localizer.candidates import LEAST_VARIANCE, Candidates, weights_of
+from conformodal.localizer.regions import PoseRegions
+from conformodal.pipeline.estimates import Estimate
 
 from .conventions import Conventions, Covariance, RosError, is_lost
 from .messages import MakeMessage, make_header, make_pose, nanoseconds, rosbags_factory

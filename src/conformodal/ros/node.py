@@ -18,14 +18,14 @@ from typing import Any
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import MissingPackageError
 from conformodal.core.ranges import as_member
-from conformodal.datasets.lenses import Fisheye
-from conformodal.datasets.streams.frames import SourceError
-from conformodal.datasets.streams.ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of, key_of_info
-from conformodal.model.errors import OdometryError
-from conformodal.model.store import load_model
-from conformodal.running.estimates import Estimate
-from conformodal.running.odometry import Odometry
-from conformodal.running.paper_odometry import odometry_of
+from conformodal.io.lenses import Fisheye
+from conformodal.io.streams.frames import SourceError
+from conformodal.io.streams.ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of, key_of_info
+from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.estimates import Estimate
+from conformodal.pipeline.odometry import Odometry
+from conformodal.pipeline.paper_odometry import odometry_of
+from conformodal.pipeline.store import load_model
 
 from .conventions import TOPICS, Conventions, Covariance, RosError
 from .conversion import Conversion

@@ -1,0 +1,98 @@
+"""Smooth, drone-like paths along the corridor and back, into every room."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from conformodal.core.arrays import FloatArray
+from conformodal.geometry import Trajectory, rigid_motions
+
+from .world import DOOR_CENTRE, HALL_WIDTH, MODULE_LENGTH, ROOM_NEAR, CorridorWorld
+
+FRAME_RATE_HZ = 10.0
+STEP_M = 0.15  # between frames, at cruising speed
+TURN_RAD = np.radians(7.0)
+CRUISE_HEIGHT_M = 1.3
+SMOOTHING_FRAMES = 2.0
+GUST_M, GUST_RAD, GUST_FRAMES = 0.05, np.radians(1.2), 1.0
+
+Waypoint = tuple[float, float, float]  # x, y, yaw in degrees; yaw 0 looks along x, 90 into the rooms
+
+
+def drone_path(world: CorridorWorld, n_laps: int = 2, seed: int = 0) -> Trajectory:
+    """Poses ``T_world_cam`` of an inspection flight, seeded, at 10 frames per second.
+
+    Each of `n_laps` laps goes along the hall and back and into every room, always in the same manner, so that flying
+    does not tell rooms apart that look alike. Gusts move the drone by some centimetres and degrees, fast enough that a
+    frame is no more like its neighbours in time than like those of another visit. The drone moves sideways where it has
+    to: the camera never looks straight at the hall side opposite the rooms.
+    """
+    return fly([point for _ in range(n_laps) for point in _lap(world)], np.random.default_rng(seed))
+
+
+def fly(waypoints: list[Waypoint], rng: np.random.Generator) -> Trajectory:
+    """A smooth flight from waypoint to waypoint, shaken by gusts."""
+    coarse = np.array(waypoints)
+    coarse[:, 2] = np.radians(coarse[:, 2])
+    step = np.diff(coarse, axis=0)
+    effort = np.maximum(np.hypot(step[:, 0], step[:, 1]) / STEP_M, np.abs(step[:, 2]) / TURN_RAD)
+    clock = np.concatenate(([0.0], np.cumsum(effort)))
+    n = int(clock[-1])
+    x, y, yaw = (
+        gaussian_filter1d(np.interp(np.arange(n), clock, column), SMOOTHING_FRAMES, mode="nearest")
+        for column in coarse.T
+    )
+    x, y, z = (a + GUST_M * _wander(n, GUST_FRAMES, rng) for a in (x, y, np.full(n, CRUISE_HEIGHT_M)))
+    yaw, pitch, roll = (a + GUST_RAD * _wander(n, GUST_FRAMES, rng) for a in (yaw, np.zeros(n), np.zeros(n)))
+    poses = rigid_motions(rotation_world_cam(yaw, pitch, roll), np.column_stack((x, y, z)))
+    return Trajectory.from_poses_se3(np.arange(n) / FRAME_RATE_HZ, poses)
+
+
+def rotation_world_cam(yaw: npt.ArrayLike, pitch: npt.ArrayLike = 0.0, roll: npt.ArrayLike = 0.0) -> FloatArray:
+    """Rotation matrices (n, 3, 3) of a camera (x right, y down, z forward) that looks along `yaw`, in radians.
+
+    Yaw turns from +x to +y, positive pitch looks up, positive roll dips the right side.
+    """
+    yaw, pitch, roll = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, float)) for a in (yaw, pitch, roll)))
+    level = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along +x, z up
+    attitude = Rotation.from_euler("ZYX", np.column_stack((yaw, -pitch, roll)))
+    return np.asarray(attitude.as_matrix() @ level)
+
+
+def _lap(world: CorridorWorld) -> list[Waypoint]:
+    """Along the hall and back. The drone turns round only at doors, as on a visit, and backs away from the ends."""
+    middle, first, last = HALL_WIDTH / 2, DOOR_CENTRE, world.length - MODULE_LENGTH + DOOR_CENTRE
+    west, east = 0.8, world.length - 0.8
+    path: list[Waypoint] = [(west, middle, 0.0)]
+    for k in range(world.n_modules):
+        path += _visit(k, 0.0)
+    path += [(east, middle, 0.0), (last, middle, 0.0), (last, middle, 90.0), (last, middle, 180.0)]
+    path += [(east, middle, 180.0)]
+    for k in reversed(range(world.n_modules)):
+        path += _visit(k, 180.0)
+    path += [(west, middle, 180.0), (first, middle, 180.0), (first, middle, 90.0), (first, middle, 0.0)]
+    return path
+
+
+def _visit(k: int, heading: float) -> list[Waypoint]:
+    """Stop at the door, turn, enter, look around, back out, turn again."""
+    door, middle = k * MODULE_LENGTH + DOOR_CENTRE, HALL_WIDTH / 2
+    return [
+        (door, middle, heading),
+        (door, middle, 90.0),
+        (door, ROOM_NEAR + 0.4, 90.0),
+        (door + 0.4, ROOM_NEAR + 1.2, 145.0),
+        (door - 0.4, ROOM_NEAR + 1.2, 35.0),
+        (door, ROOM_NEAR + 0.4, 90.0),
+        (door, middle, 90.0),
+        (door, middle, heading),
+    ]
+
+
+def _wander(n: int, sigma_frames: float, rng: np.random.Generator) -> FloatArray:
+    """Smooth noise of unit spread."""
+    noise = gaussian_filter1d(rng.standard_normal(n), sigma_frames, mode="wrap")
+    return np.asarray(noise / noise.std())

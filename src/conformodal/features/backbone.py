@@ -1,0 +1,102 @@
+"""Feature extractors: maps of a frozen network, which keep where in the image things are, and a thumbnail."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.core.arrays import Float32Array, UInt8Array
+from conformodal.io import THUMBNAIL, thumbnail
+
+from .settings import VisionError
+
+_PICTURE = THUMBNAIL[0] * THUMBNAIL[1]
+
+
+class FeatureViews(NamedTuple):
+    """Slices of the features: the network's map, the thumbnail, and both."""
+
+    network: slice
+    thumbnail: slice
+    both: slice
+
+
+def feature_views(n_features: int) -> FeatureViews:
+    """The parts of a :class:`Backbone`'s features."""
+    cut = n_features - _PICTURE
+    if cut < 1:
+        raise VisionError(f"features end in a thumbnail of {_PICTURE} numbers, got {n_features} in all")
+    return FeatureViews(slice(0, cut), slice(cut, n_features), slice(0, n_features))
+
+
+def coarse_features(features: Float32Array, grid: tuple[int, int]) -> Float32Array:
+    """The network's map, averaged over 2 x 2 cells: a global descriptor that is independent of the training images.
+
+    Of features (n, F) whose map has `grid` rows and columns; in an odd grid, the last row or column stands for itself.
+    """
+    rows, columns = grid
+    network = features[:, feature_views(features.shape[1]).network]
+    if network.shape[1] % (rows * columns):
+        raise VisionError(f"a map of {rows} by {columns} cells cannot have {network.shape[1]} features")
+    maps = network.reshape(len(features), -1, rows, columns)
+    maps = np.pad(maps, ((0, 0), (0, 0), (0, rows % 2), (0, columns % 2)), mode="edge")
+    cells = maps.reshape(*maps.shape[:2], (rows + 1) // 2, 2, (columns + 1) // 2, 2)
+    return np.asarray(cells.mean(axis=(3, 5)).reshape(len(features), -1), dtype=np.float32)
+
+
+def global_descriptors(features: Float32Array, grid: tuple[int, int]) -> Float32Array:
+    """:func:`coarse_features` (n, G) at unit length: they retrieve the right place more often than thumbnails."""
+    maps = coarse_features(features, grid)
+    return np.asarray(maps / np.maximum(np.linalg.norm(maps, axis=1, keepdims=True), 1e-9), dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class BackboneConfig:
+    """Which features to take."""
+
+    name: str = "efficientnet_lite0"  # its ImageNet weights come with a package
+    # last block to run, None for all but the classifier; block 7 of Lite0 has 80 channels at 1/16 of the resolution,
+    # later ones encode more of what is seen and less of where
+    block: int | None = 7
+    width: int = 320  # input size in pixels
+    height: int = 240
+    grid: tuple[int, int] = (6, 8)  # rows and columns the map is averaged into; (1, 1) loses positions
+
+
+class Backbone(ABC):
+    """A feature extractor; a subclass runs the network."""
+
+    config: BackboneConfig
+
+    @property
+    @abstractmethod
+    def fingerprint(self) -> str:
+        """Digest of all that decides the features."""
+
+    @abstractmethod
+    def maps(self, images: UInt8Array) -> Float32Array:
+        """The network's features (n, channels * rows * columns) of prepared images (n, h, w, 3)."""
+
+    def prepare(self, image: UInt8Array) -> UInt8Array:
+        """Resize one image (h, w, 3) to the input size, averaging where it shrinks."""
+        size = (self.config.width, self.config.height)
+        if image.shape[1::-1] == size:
+            return image
+        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+    def describe(self, images: UInt8Array) -> npt.NDArray[np.float16]:
+        """Features (n, F) of prepared images (n, h, w, 3), rounded as the cache keeps them.
+
+        The network's map, then a thumbnail of the image as its global descriptor: see :func:`feature_views`.
+        """
+        pictures = np.stack([thumbnail(image) for image in images]) * np.sqrt(_PICTURE)
+        return np.concatenate((self.maps(images), pictures), axis=1).astype(np.float16)
+
+    def features_of(self, image: UInt8Array) -> Float32Array:
+        """Features (1, F) of one image (h, w, 3), the same numbers as a data set's from the cache."""
+        return self.describe(self.prepare(image)[None]).astype(np.float32)

@@ -1,0 +1,201 @@
+"""Networks in ONNX, which run without torch: exported, quantised to eight bits, joined with a softmax head."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import torch
+
+from conformodal.core.arrays import UInt8Array, evenly_spread
+from conformodal.core.extras import require_extra
+from conformodal.core.progress import Progress
+from conformodal.features.networks.torch_backbone import TorchBackbone
+from conformodal.io import read_image
+
+from .backbone import Backbone
+from .cache import cache_arrays, cached_arrays
+from .extract import FeatureCache
+from .head import SoftmaxHead
+from .onnx_backbone import INPUT, OUTPUT, OnnxBackbone
+from .settings import VisionError
+
+# What the oldest ONNX Runtime that is supported, 1.20, reads: IR 10 and opset 21. The exporter would write the newest.
+OPSET, IR_VERSION = 18, 10
+_N_IMAGES = 64  # of quantisation; ranges of activations hardly widen with more
+_TOLERANCE = 1e-3  # of the largest feature: rounding through some sixty layers; a wrong operator errs by far more
+
+
+def exported(backbone: TorchBackbone, cache: FeatureCache) -> OnnxBackbone:
+    """The same network in ONNX, cached; preprocessing is included and the batch size dynamic."""
+
+    def make() -> bytes:
+        content = _export(backbone)
+        _check_same(backbone, OnnxBackbone(backbone.config, content))
+        return content
+
+    return _cached_network(backbone, backbone.fingerprint, cache, make)
+
+
+def quantised(
+    backbone: OnnxBackbone, image_files: Sequence[Path], cache: FeatureCache, progress: Progress | None = None
+) -> OnnxBackbone:
+    """The same network with weights and activations in eight bits.
+
+    Weights have one scale per channel; activation ranges are those of at most 64 of the images of the training part,
+    spread evenly. The features change, so pose sources and thresholds must be learnt again.
+    """
+    chosen = [image_files[i] for i in evenly_spread(len(image_files), _N_IMAGES)]
+    key = hashlib.sha256("int8".join(cache.key(backbone, path) for path in chosen).encode()).hexdigest()
+
+    def make() -> bytes:
+        images = []
+        for path in chosen:
+            images.append(backbone.prepare(read_image(path)))
+            if progress is not None:
+                progress(len(images), len(chosen))
+        return _quantise(backbone.content, images)
+
+    return _cached_network(backbone, key, cache, make)
+
+
+def with_head(backbone: OnnxBackbone, head: SoftmaxHead, targets: tuple[str, ...]) -> bytes:
+    """The network with its softmax head: input ``images``, outputs ``map`` and one (n, K) per name in `targets`."""
+    with require_extra("train", "the export of a network"):
+        import onnx  # noqa: PLC0415
+        from onnx import helper, numpy_helper  # noqa: PLC0415
+
+    model = onnx.load_model_from_string(backbone.content)
+    graph = model.graph
+    n_map = backbone.maps(np.zeros((1, backbone.config.height, backbone.config.width, 3), np.uint8)).shape[1]
+    ours = {name: np.asarray(value) for name, value in head.weights.items()}
+    # the head does not see the global descriptor, in which features end
+    ours["offset"], ours["components"] = ours["offset"][:n_map], ours["components"][:n_map]
+    if ours["components"].ndim == 1:  # then the hidden layer looks at all features, and those of the descriptor are 0
+        ours["trunk.1.weight"] = ours["trunk.1.weight"][:, :n_map]
+    for name in ("trunk.1.weight", "output.weight"):
+        ours[name] = np.ascontiguousarray(ours[name].T)
+    ours |= {k: np.array(v, np.float32) for k, v in (("half", 0.5), ("one", 1), ("root", np.sqrt(0.5)))}
+    graph.initializer.extend(numpy_helper.from_array(value, f"head.{name}") for name, value in ours.items())
+
+    def add(operator: str, inputs: list[str], output: str, **attributes: Any) -> str:
+        graph.node.append(helper.make_node(operator, inputs, [f"head.{output}"], **attributes))
+        return f"head.{output}"
+
+    last = add("Cast", [OUTPUT], "rounded", to=onnx.TensorProto.FLOAT16)  # as features are kept
+    last = add("Cast", [last], "features", to=onnx.TensorProto.FLOAT)
+    last = add("Sub", [last, "head.offset"], "centred")
+    last = add("MatMul" if ours["components"].ndim == 2 else "Mul", [last, "head.components"], "projected")
+    last = add("MatMul", [last, "head.trunk.1.weight"], "hidden")
+    last = add("Add", [last, "head.trunk.1.bias"], "shifted")
+    normalised = [last, "head.trunk.2.weight", "head.trunk.2.bias"]
+    last = add("LayerNormalization", normalised, "normalised", axis=-1, epsilon=1e-5)
+    inner = add("Mul", [last, "head.root"], "scaled")
+    inner = add("Add", [add("Erf", [inner], "erf"), "head.one"], "erf1")
+    last = add("Mul", [add("Mul", [last, "head.half"], "halved"), inner], "gelu")
+    last = add("MatMul", [last, "head.output.weight"], "product")
+    last = add("Add", [last, "head.output.bias"], "raw")
+    graph.initializer.append(numpy_helper.from_array(np.array(head.outputs, np.int64), "head.sizes"))
+    blocks = [f"head.{target}" for target in targets]
+    graph.node.append(helper.make_node("Split", [last, "head.sizes"], blocks, axis=1))
+    for target, block, size in zip(targets, blocks, head.outputs, strict=True):
+        graph.node.append(helper.make_node("Softmax", [block], [target], axis=1))
+        graph.output.append(helper.make_tensor_value_info(target, onnx.TensorProto.FLOAT, ["n", size]))
+    onnx.checker.check_model(model)
+    return bytes(model.SerializeToString())
+
+
+def _cached_network(backbone: Backbone, key: str, cache: FeatureCache, make: Callable[[], bytes]) -> OnnxBackbone:
+    """A backbone in the ONNX file that the cache holds under a key; it is made where the cache does not hold it."""
+    path = None if cache.folder is None else cache.folder.parent / "networks" / f"{key}.safetensors"
+    found = None if path is None else cached_arrays(path, key)
+    content = make() if found is None else found["onnx"].tobytes()
+    if path is not None and found is None:
+        cache_arrays(path, key, {"onnx": np.frombuffer(content, dtype=np.uint8)})
+    return OnnxBackbone(backbone.config, content)
+
+
+def _export(backbone: TorchBackbone) -> bytes:
+    with require_extra("train", "the export of a network"):
+        import onnxscript  # noqa: F401, PLC0415 - torch asks for it
+    two = torch.zeros((2, backbone.config.height, backbone.config.width, 3), dtype=torch.uint8, device=backbone.device)
+    try:
+        with _quiet():
+            program = torch.onnx.export(
+                backbone,
+                (two,),
+                dynamo=True,
+                opset_version=OPSET,
+                input_names=[INPUT],
+                output_names=[OUTPUT],
+                dynamic_shapes={"images": {0: torch.export.Dim("n")}},
+                verbose=False,
+            )
+    except Exception as exc:  # whatever torch and onnxscript raise
+        raise VisionError(f"{backbone.config.name} cannot be exported to ONNX: {exc}") from exc
+    assert program is not None
+    model = program.model_proto
+    model.ir_version = IR_VERSION
+    for part in (model, model.graph, *model.graph.node, *model.graph.value_info):
+        del part.metadata_props[:]  # among them lines of source files of the machine that exports
+    return bytes(model.SerializeToString())
+
+
+def _check_same(backbone: TorchBackbone, made: OnnxBackbone) -> None:
+    shape = (2, backbone.config.height, backbone.config.width, 3)
+    images = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
+    expected, found = backbone.maps(images), made.maps(images)
+    if expected.shape != found.shape or np.abs(found - expected).max() > _TOLERANCE * np.abs(expected).max():
+        raise VisionError(f"{backbone.config.name} answers otherwise when exported to ONNX")
+
+
+def _quantise(content: bytes, images: Sequence[UInt8Array]) -> bytes:
+    with require_extra("train", "quantisation"):
+        from onnxruntime.quantization import (  # noqa: PLC0415 - only here
+            CalibrationDataReader,
+            QuantFormat,
+            QuantType,
+            quantize_static,
+        )
+
+    class Images(CalibrationDataReader):  # type: ignore[misc]
+        def __init__(self) -> None:
+            self.left = iter(images)
+
+        def get_next(self) -> dict[str, Any] | None:
+            image = next(self.left, None)
+            return None if image is None else {INPUT: image[None]}
+
+    with TemporaryDirectory() as folder, _quiet():
+        whole, small = Path(folder) / "network.onnx", Path(folder) / "int8.onnx"
+        whole.write_bytes(content)
+        quantize_static(
+            whole,
+            small,
+            Images(),
+            quant_format=QuantFormat.QDQ,
+            per_channel=True,
+            activation_type=QuantType.QUInt8,  # with signed activations, kernels for convolutions are slower
+            weight_type=QuantType.QInt8,
+        )
+        return small.read_bytes()
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Hide advice of exporter and quantiser: on packages that are not needed, and to optimise the network first."""
+    previous = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(previous)

@@ -1,0 +1,96 @@
+"""Local features of an image, ORB (Rublee et al. 2011), and its global descriptor for retrieval."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array
+from conformodal.geometry import PinholeCamera
+from conformodal.geometry.shutter import NO_FLOW, at_pose_time
+from conformodal.geometry.undistortion import undistort
+from conformodal.io import thumbnail
+from conformodal.io.decoding import grey_image
+
+from .image_quality import NOT_MEASURED, image_quality
+from .settings import LOCAL_FEATURES
+
+DESCRIPTOR_BYTES = 32
+_MOST_ALIKE = 8 * DESCRIPTOR_BYTES / 4  # product of equal rows, see _halves
+
+
+class LocalFeatures(NamedTuple):
+    """Corners of an image with their descriptors, and its global descriptor."""
+
+    pixels: FloatArray  # (n, 2) undistorted corners
+    descriptors: UInt8Array  # (n, 32)
+    global_descriptor: Float32Array  # at unit length: thumbnail or network's map
+    quality: FloatArray = NOT_MEASURED  # (3,), see image_quality
+    flow: FloatArray = NO_FLOW  # (2, 3), see conformodal.tracking.flow
+
+    @property
+    def flows(self) -> FloatArray:
+        """Flow (n, 2) of each corner, pixels per second."""
+        return np.asarray(self.pixels @ self.flow[:, :2].T + self.flow[:, 2])
+
+    def at_pose_time(self, shutter: FloatArray, camera: PinholeCamera) -> LocalFeatures:
+        """With corners where they are when the pose is taken, see
+        :func:`~conformodal.geometry.shutter.at_pose_time`.
+        """
+        return self._replace(pixels=at_pose_time(self.pixels, self.flows, shutter, camera))
+
+
+def extract_local_features(image: UInt8Array, camera: PinholeCamera) -> LocalFeatures:
+    """Local features and global descriptor of an image (height, width[, 3])."""
+    grey = grey_image(image)
+    picture, quality = thumbnail(grey), image_quality(grey)
+    enlarged = -(-LOCAL_FEATURES.least_width_px // grey.shape[1])
+    if enlarged > 1:
+        grey = np.asarray(cv2.resize(grey, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_LINEAR), np.uint8)
+    grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), LOCAL_FEATURES.blur_px), np.uint8)
+    corners, descriptors = cv2.ORB.create(
+        LOCAL_FEATURES.max_corners, 1.2, LOCAL_FEATURES.levels, edgeThreshold=16, fastThreshold=5
+    ).detectAndCompute(grey, None)
+    if descriptors is None:
+        return LocalFeatures(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES), np.uint8), picture, quality)
+    # pixel centres are whole numbers, so that enlarging moves them by half a pixel
+    pixels = (np.array([c.pt for c in corners]) + 0.5) / enlarged - 0.5
+    return LocalFeatures(undistort(pixels, camera), np.asarray(descriptors, np.uint8), picture, quality)
+
+
+def match(descriptors: UInt8Array, others: UInt8Array) -> IntArray:
+    """Mutually unambiguous matches (m, 2) between rows of two sets of descriptors, by Lowe's ratio test."""
+    if len(descriptors) == 0 or len(others) < 2:
+        return np.empty((0, 2), np.int64)
+    alike = _halves(descriptors) @ _halves(others).T
+    every = np.arange(len(alike))
+    nearest = alike.argmax(axis=1)
+    first = alike[every, nearest]
+    alike[every, nearest] = -np.inf
+    distance, second = _MOST_ALIKE - first, _MOST_ALIKE - alike.max(axis=1)
+    rows = np.flatnonzero(distance < LOCAL_FEATURES.ratio * second)
+    rows = rows[np.argsort(distance[rows], kind="stable")]
+    _, best = np.unique(nearest[rows], return_index=True)
+    rows = rows[best]
+    return np.column_stack((rows, nearest[rows])).astype(np.int64)
+
+
+class Matcher:
+    """Matches between pairs of images, cached: the maps of several folds share images."""
+
+    def __init__(self) -> None:
+        self._cached: dict[tuple[int, int], tuple[LocalFeatures, LocalFeatures, IntArray]] = {}
+
+    def __call__(self, one: LocalFeatures, other: LocalFeatures) -> IntArray:
+        """Matches (m, 2) of the descriptors of two images, see :func:`match`."""
+        key = id(one), id(other)  # unique, since the cache holds both images
+        if key not in self._cached:
+            self._cached[key] = one, other, match(one.descriptors, other.descriptors)
+        return self._cached[key][2]
+
+
+def _halves(descriptors: UInt8Array) -> Float32Array:
+    """Bits as -0.5 and 0.5: a matrix product of such rows counts differing bits faster than a loop."""
+    return np.unpackbits(descriptors, axis=1).astype(np.float32) - np.float32(0.5)

@@ -1,0 +1,1 @@
+"""Networks by name, in torch; running a trained model does not need them."""

@@ -1,0 +1,52 @@
+"""Settings of training, apart from the code that needs torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from conformodal.core.errors import ConformodalError
+from conformodal.core.ranges import check_ranges
+
+DEVICES = ("auto", "cpu", "cuda")
+
+
+class VisionError(ConformodalError):
+    """A backbone, feature or training setting that cannot be used."""
+
+
+def check_device(name: str) -> None:
+    """Check the name of a device; whether the machine has it is checked where it is used."""
+    if name not in DEVICES:
+        raise VisionError(f"device must be auto, cpu or cuda, got {name!r}")
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """How a head is trained; the same for the conformal network and the classical regressor."""
+
+    epochs: int = 100
+    batch_size: int = 64
+    learning_rate: float = 3e-3  # of AdamW with a one-cycle schedule
+    weight_decay: float = 1e-2
+    hidden: int = 256  # units of the hidden layer
+    dropout: float = 0.3
+    input_dropout: float | None = None  # of the projected features; None: the same as `dropout`
+    components: int | None = 256  # of the projection, see conformodal.features.projection.fit_projection
+    seed: int = 0  # of weights, dropout and the order of samples
+
+    def __post_init__(self) -> None:
+        check_ranges(vars(self), VisionError)
+
+
+@dataclass(frozen=True)
+class _LocalFeatureSettings:
+    """ORB (Rublee et al. 2011)."""
+
+    max_corners: int = 500
+    levels: int = 4  # of the pyramid; with more, corners come from coarse levels and poses get worse
+    blur_px: float = 1.2  # before detection: pixel noise of a sigma of 0.2 then leaves descriptors nearly unchanged
+    least_width_px: int = 320  # smaller images are enlarged: descriptors look at 31 pixels around a corner
+    ratio: float = 0.85  # of the distances to the nearest and the second nearest descriptor (Lowe 2004)
+
+
+LOCAL_FEATURES = _LocalFeatureSettings()

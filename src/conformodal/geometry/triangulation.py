@@ -1,0 +1,68 @@
+"""Points from the rays of several cameras with known poses."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+
+from .settings import TRIANGULATION
+
+
+class Rays(NamedTuple):
+    """Rays of n corners from k cameras, corner by corner; the first ray of each is from the corner's own frame."""
+
+    corner: IntArray  # (m,) 0 to n - 1, increasing; each is there
+    seen: IntArray  # (m,) number of the corner that a ray is of, among those of all frames
+    camera: IntArray  # (m,)
+    plane: FloatArray  # (m, 2) on the plane at depth 1 of the camera
+    R_world_cam: FloatArray  # (k, 3, 3)
+    centres: FloatArray  # (k, 3)
+
+
+def triangulate(rays: Rays, tolerance: float) -> tuple[FloatArray, BoolArray]:
+    """Points (n, 3) nearest to their rays, and which of them (n,) are reliable.
+
+    Robust least squares over the angles between points and rays. A point is reliable if its own frame and another one
+    agree on it within the tolerance (radians), it lies in front of both, and their rays differ by 2.5 degrees. Corners
+    that no other camera sees near the epipolar line have no point: NaN.
+    """
+    R, centres = rays.R_world_cam[rays.camera], rays.centres[rays.camera]
+    local = np.column_stack((rays.plane, np.ones(len(rays.plane))))
+    own = np.flatnonzero(np.diff(rays.corner, prepend=-1))
+    found, reliable = np.full((len(own), 3), np.nan), np.zeros(len(own), dtype=np.bool_)
+    kept = _off_epipolar(local, R, centres, own[rays.corner]) < tolerance
+    kept &= (np.bincount(rays.corner[kept], minlength=len(own)) > 1)[rays.corner]
+    if not kept.any():
+        return found, reliable
+    corners, starts, corner = np.unique(rays.corner[kept], return_index=True, return_inverse=True)
+    centres = centres[kept]
+    world = np.einsum("mab,mb->ma", R[kept], local[kept])
+    world /= np.linalg.norm(world, axis=1, keepdims=True)
+    onto = np.eye(3) - world[:, :, None] * world[:, None]  # the plane across a ray
+    across = centres - world * (world * centres).sum(axis=1, keepdims=True)
+    weights = np.ones(len(world))
+    for _ in range(TRIANGULATION.iterations):
+        matrix = np.add.reduceat(weights[:, None, None] * onto, starts) + 1e-9 * np.eye(3)
+        right = np.add.reduceat(weights[:, None] * across, starts)
+        points = np.linalg.solve(matrix, right[..., None])[..., 0]
+        apart = points[corner] - centres
+        square, along = np.maximum((apart**2).sum(axis=1), 1e-12), (apart * world).sum(axis=1)
+        off = np.sqrt(np.maximum(square - along**2, 0) / square)
+        weights = 1 / square / (1 + (off / (TRIANGULATION.doubt * tolerance)) ** 2)
+        weights /= np.maximum(np.maximum.reduceat(weights, starts), 1e-12)[corner]
+    agree = (off < tolerance) & (along > 0)
+    cosine = np.where(agree, (world[starts][corner] * world).sum(axis=1), 1.0)
+    found[corners] = points
+    reliable[corners] = agree[starts] & (np.minimum.reduceat(cosine, starts) < np.cos(TRIANGULATION.min_parallax_rad))
+    return found, reliable
+
+
+def _off_epipolar(local: FloatArray, R_world_cam: FloatArray, centres: FloatArray, own: IntArray) -> FloatArray:
+    """Distances (m,) of rays from the epipolar line of the `own` (m,) ray of their corner, on the plane at depth 1."""
+    baseline = np.einsum("mba,mb->ma", R_world_cam, centres[own] - centres)
+    turned = np.einsum("mba,mb->ma", R_world_cam, np.einsum("mab,mb->ma", R_world_cam[own], local[own]))
+    line = np.cross(baseline, turned)
+    return np.asarray(np.abs((line * local).sum(axis=1)) / np.maximum(np.linalg.norm(line[:, :2], axis=1), 1e-12))

@@ -1,0 +1,144 @@
+"""What a data set is, and what is wrong with it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from conformodal.io.layouts.colmap import TWICE
+from conformodal.io.layouts.euroc import SHIFTED
+from conformodal.io.layouts.nerf import ORIGINAL_WORLD
+
+from .cameras import OF_LAYOUT, SCALED
+from .convention import AS_GIVEN, fitting_convention
+from .decoding import SCALED_BITS, TURNED
+from .errors import ImageError
+from .frame_table import CONVERTED, INTERPOLATED
+from .lenses import AS_STORED, OTHER_CAMERA, UNDISTORTED
+from .reading import NUMBERS, by_what
+from .recording import Recording
+
+# A step in time longer than this many usual ones is a gap; one in space, a jump.
+_GAP, _JUMP = 3.0, 10.0
+_LEAST_JUMP_M = 0.05
+# What a reader did, and nothing that is wrong.
+_NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, CONVERTED, SHIFTED, TWICE, AS_STORED}
+_NOTES |= {ORIGINAL_WORLD, OF_LAYOUT, NUMBERS}
+
+
+@dataclass
+class Finding:
+    """Something to look at.
+
+    Attributes
+    ----------
+    what, count, first
+        What it is, how often it occurs, and where first.
+    wrong
+        Whether something is wrong with the data; gaps in time and repeated pictures are only worth knowing.
+    """
+
+    what: str
+    count: int
+    first: str
+    wrong: bool = True
+
+
+@dataclass
+class DatasetCheck:
+    """What a data set holds.
+
+    Attributes
+    ----------
+    n_frames, n_recordings, n_poses
+        Counts.
+    width, height
+        Of the camera's images, pixels.
+    duration_s, rate_hz
+        From the first frame to the last, recordings apart; and the usual rate.
+    extent_m, path_m
+        Size of the box around all positions, (3,), and length of the path; None without poses.
+    findings
+        Everything that is worth knowing; `wrong` tells what is not as it should be.
+    """
+
+    n_frames: int
+    n_recordings: int
+    n_poses: int
+    width: int
+    height: int
+    duration_s: float
+    rate_hz: float
+    extent_m: list[float] | None
+    path_m: float | None
+    findings: list[Finding] = field(default_factory=list)
+
+
+def check_recording(sequence: Recording, progress: Callable[[int, int], None] | None = None) -> DatasetCheck:
+    """Look at every frame of a data set; decodes all images. `progress` is called with images done and images in all.
+
+    Readers have refused already what cannot be read at all, and left out or remarked what can be used in part.
+    """
+    names = [path.name for path in sequence.image_paths]
+    linked = np.flatnonzero(np.diff(sequence.recording) == 0)
+    steps = np.diff(sequence.timestamps_s)[linked]
+    usual = float(np.median(steps)) if steps.size else float("nan")
+    found = [Finding(what, len(where), where[0], what not in _NOTES) for what, where in by_what(sequence.notes).items()]
+
+    def add(what: str, at: list[int], *, wrong: bool = True) -> None:
+        if at:
+            found.append(Finding(what, len(at), names[at[0]], wrong))
+
+    add(
+        f"gap in time of more than {_GAP:g} usual steps before",
+        (linked[steps > _GAP * usual] + 1).tolist(),
+        wrong=False,
+    )
+    extent = path = None
+    if sequence.truth is not None:
+        positions = sequence.truth.positions_xyz
+        moved = np.linalg.norm(np.diff(positions, axis=0), axis=1)[linked]
+        extent, path = np.ptp(positions, axis=0).round(4).tolist(), round(float(moved.sum()), 4)
+        speed = moved / np.maximum(steps, 1e-9)
+        jumps = (speed > _JUMP * np.median(speed)) & (moved > _LEAST_JUMP_M) if speed.size else np.empty(0, dtype=bool)
+        add(f"position jumps, more than {_JUMP:g} times as fast as usual, before", (linked[jumps] + 1).tolist())
+        best, shares = fitting_convention(sequence)
+        if best != AS_GIVEN:
+            most, as_read = 100 * max(shares.values()), 100 * shares[AS_GIVEN]
+            where = (
+                f"{most:.0f} % of the matched corners are within 2 px of their epipolar line, as read {as_read:.0f} %"
+            )
+            found.append(Finding(f"poses fit the images as {best}, and are read as {AS_GIVEN}", 1, where))
+    problems: dict[int, str] = {}
+    digests: list[bytes] = [b""] * len(sequence)
+
+    def look(i: int) -> None:
+        try:
+            digests[i] = hashlib.sha256(sequence.image(i).tobytes()).digest()
+        except ImageError as exc:
+            problems[i] = str(exc)
+
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        for done, _ in enumerate(pool.map(look, range(len(sequence))), start=1):
+            if progress is not None:
+                progress(done, len(sequence))
+    if problems:
+        found.append(Finding("image cannot be read", len(problems), problems[min(problems)]))
+    same = [i for i in (linked + 1).tolist() if digests[i] and digests[i] == digests[i - 1]]
+    add("the same picture as the frame before", same, wrong=False)
+    return DatasetCheck(
+        n_frames=len(sequence),
+        n_recordings=len(np.unique(sequence.recording)),
+        n_poses=0 if sequence.poses is None else len(sequence.poses),
+        width=sequence.camera.width,
+        height=sequence.camera.height,
+        duration_s=round(float(steps.sum()), 4),
+        rate_hz=round(1 / usual, 4) if usual > 0 else 0.0,
+        extent_m=extent,
+        path_m=path,
+        findings=found,
+    )

@@ -1,9 +1,0 @@
-"""What can be wrong with pose sources and what they are given."""
-
-from __future__ import annotations
-
-from conformodal.conformal import ConformodalError
-
-
-class LocalizationError(ConformodalError):
-    """A pose source, a belief, or what they are made from cannot be used."""

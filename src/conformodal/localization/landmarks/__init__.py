@@ -1,1 +1,0 @@
-"""PnP on landmarks: corners of keyframes, triangulated, and poses of other images from the ones they match."""

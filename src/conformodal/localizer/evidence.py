@@ -1,0 +1,45 @@
+"""What pose sources see of an image: features of the network and, where they were extracted, local features."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from conformodal.core.arrays import Float32Array, FloatArray
+from conformodal.features.local import LocalFeatures
+
+from .errors import LocalizationError
+
+
+@dataclass(frozen=True, eq=False)
+class FrameEvidence:
+    """What pose sources see of n images.
+
+    Attributes
+    ----------
+    features
+        (n, F) of the network, see :class:`~conformodal.features.backbone.Backbone`.
+    local_features
+        Image by image; empty where they were not extracted.
+    """
+
+    features: Float32Array
+    local_features: Sequence[LocalFeatures] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.local_features) not in (0, len(self.features)):
+            raise LocalizationError(
+                f"{len(self.features)} images need as many local features, or none, got {len(self.local_features)}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.features)
+
+    @property
+    def quality(self) -> FloatArray:
+        """(n, 3) quality of images with local features, see
+        :func:`~conformodal.features.image_quality.image_quality`.
+        """
+        return np.array([its.quality for its in self.local_features])

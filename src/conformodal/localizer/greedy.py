@@ -1,0 +1,91 @@
+"""The paper's reasoning (section 3): start from the most probable pose, then always take the combination of intervals
+that is nearest to what the relative motion predicts from the pose chosen before. One wrong pick steers all later ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from conformodal.core.arrays import FloatArray
+from conformodal.geometry import RelativeMotion
+
+from .candidates import BinRuns
+from .errors import ReasoningError
+from .observations import PosePath
+
+_LEAST_NORM = 1e-6
+
+
+class Greedy:
+    """The paper's reasoning on a stream: :meth:`push` chooses one combination of intervals a frame, among all of them.
+
+    Orientation: the q that minimises ``|q - q_next|`` with ``q_next = quaternion(R_prev R_rel)``; q and -q count as
+    one. The square of that distance is a sum over components, so each is minimised by itself. Position: the p that
+    minimises ``| t_rel - (p - p_prev) / |p - p_prev| |`` with t_rel turned into the world by the orientation chosen
+    before. In the first frame, and where the rotation is unknown, the most probable combination is taken; where the
+    direction alone is unknown, the most probable position.
+    """
+
+    def __init__(self) -> None:
+        self._place: FloatArray | None = None
+        self._quat: FloatArray = np.array([1.0, 0.0, 0.0, 0.0])
+
+    def push(self, here: Sequence[BinRuns], motion: RelativeMotion | None, timestamp_s: float) -> PosePath:
+        """The pose (a path of one) of the next frame, from its :func:`~conformodal.localizer.candidates.interval_runs`.
+
+        `motion` leads from the frame before to it; None where nothing is known of it.
+        """
+        best = [int(np.argmax(runs.log_mass)) for runs in here]
+        means = [runs.mean for runs in here]
+        if self._place is not None and motion is not None and motion.R_prev_next is not None:
+            rotation_prev = Rotation.from_quat(self._quat, scalar_first=True)
+            q_next = (rotation_prev * Rotation.from_matrix(motion.R_prev_next)).as_quat(scalar_first=True)
+            best[3:] = _nearest_quat(means[3:], q_next)
+            if motion.direction_prev is not None:
+                best[:3] = _along(means[:3], self._place, rotation_prev.apply(motion.direction_prev))
+        chosen = np.array([mean[k] for mean, k in zip(means, best, strict=True)])
+        spreads = np.array([runs.spread[k] for runs, k in zip(here, best, strict=True)])
+        self._place = chosen[:3]
+        norm = float(np.linalg.norm(chosen[3:]))
+        if norm > _LEAST_NORM:  # components that cancel say nothing
+            self._quat = chosen[3:] / norm
+        turn = 2 * np.sqrt(np.mean(spreads[3:] ** 2))  # a quaternion moves half as far as the rotation turns
+        return PosePath(
+            np.array([timestamp_s]), self._place[None], spreads[None, :3], self._quat[None], np.array([turn])
+        )
+
+
+def greedy(
+    intervals: Sequence[Sequence[BinRuns]], motions: Sequence[RelativeMotion | None], timestamps_s: npt.ArrayLike
+) -> PosePath:
+    """:class:`Greedy` on n frames of one recording; ``motions[t]`` leads from frame t - 1 to frame t."""
+    times = np.asarray(timestamps_s, dtype=np.float64)
+    if not 0 < len(intervals) == len(motions) == len(times):
+        raise ReasoningError(
+            f"greedy needs as many frames as motions and timestamps, at least one: got {len(intervals)} frames, "
+            f"{len(motions)} motions, {len(times)} timestamps"
+        )
+    path = Greedy()
+    return PosePath.concatenate([path.push(*frame) for frame in zip(intervals, motions, times.tolist(), strict=True)])
+
+
+def _nearest_quat(means: Sequence[FloatArray], q_next: FloatArray) -> list[int]:
+    """The combination nearest to `q_next` or to its negative."""
+    options = []
+    for target in (q_next, -q_next):
+        off = [np.abs(mean - q) for mean, q in zip(means, target, strict=True)]
+        options.append((sum(float(o.min()) ** 2 for o in off), [int(o.argmin()) for o in off]))
+    return min(options, key=lambda option: option[0])[1]
+
+
+def _along(means: Sequence[FloatArray], place: FloatArray, direction: FloatArray) -> list[int]:
+    """The combination that lies from `place` most nearly in a direction."""
+    step = np.stack(np.meshgrid(*means, indexing="ij"), axis=-1) - place
+    length = np.linalg.norm(step, axis=-1, keepdims=True)
+    heading = np.divide(step, length, out=np.zeros_like(step), where=length > 0)
+    off = np.linalg.norm(direction - heading, axis=-1)
+    return [int(k) for k in np.unravel_index(int(np.argmin(off)), off.shape)]

@@ -1,0 +1,1 @@
+"""Pose sources: a network head, and landmarks."""

@@ -1,0 +1,165 @@
+"""A map of landmarks from frames with known poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.parallel import in_threads
+from conformodal.core.progress import Progress
+from conformodal.features.local import LocalFeatures, Matcher
+from conformodal.geometry import PinholeCamera
+from conformodal.geometry.adjustment import Adjusted, adjust, choose_tracks, given_frame_errors
+from conformodal.geometry.camera_fit import Matches, Mounted, fit_camera
+from conformodal.geometry.settings import ADJUSTMENT
+from conformodal.geometry.triangulation import Rays, triangulate
+from conformodal.localizer.settings import MAPPING
+
+from .keyframes import LandmarkMap
+
+_FRAMES_AT_A_TIME = 32  # that are triangulated
+
+
+def build_map(
+    features: Sequence[LocalFeatures],
+    poses_se3: FloatArray,
+    camera: PinholeCamera,
+    depth_m: float,
+    progress: Progress | None = None,
+    matcher: Matcher | None = None,
+    mounted: Mounted | None = None,
+) -> LandmarkMap:
+    """Triangulate corners of n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps.
+
+    `mounted` is the camera of a map that this one will be added to; by default it is fitted.
+    """
+    pairs = _matched(features, _partners(poses_se3, depth_m), matcher or Matcher(), progress)
+    known_camera = mounted is not None
+    mounted = mounted or fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
+    features = [its.at_pose_time(mounted.shutter, camera) for its in features]
+    before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
+    chunks = [range(a, min(a + _FRAMES_AT_A_TIME, len(features))) for a in range(0, len(features), _FRAMES_AT_A_TIME)]
+
+    def triangulated(few: range, now: Adjusted) -> tuple[Rays, FloatArray, BoolArray]:
+        camera = now.mounted.camera
+        rays = _rays(few, pairs, features, now.poses_cam, camera, before)
+        return rays, *triangulate(rays, 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
+
+    sigmas = np.repeat([ADJUSTMENT.sigma_rad, ADJUSTMENT.sigma_depths * depth_m], 3)
+    now = Adjusted(mounted, poses_se3 @ mounted.T_pose_cam, sigmas, known_camera)
+    for _ in range(ADJUSTMENT.rounds):
+        found = in_threads(partial(triangulated, now=now), chunks)
+        camera = now.mounted.camera
+        tracks = choose_tracks(found, len(features), 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
+        if len(tracks.frame) < ADJUSTMENT.least_per_frame * len(features):
+            break
+        now = adjust(now, poses_se3, tracks)
+    found = in_threads(partial(triangulated, now=now), chunks)
+    points, sound = np.concatenate([its for _, its, _ in found]), np.concatenate([its for _, _, its in found])
+    return LandmarkMap(
+        camera=now.mounted.camera,
+        T_pose_cam=now.mounted.T_pose_cam,
+        shutter=mounted.shutter,
+        poses_se3=poses_se3,
+        global_descriptors=np.array([d.global_descriptor for d in features], dtype=np.float16),
+        starts=np.concatenate(([0], np.cumsum(sound)))[before],
+        points_xyz=points[sound].astype(np.float32),
+        descriptors=np.concatenate([d.descriptors for d in features])[sound],
+        depth_m=depth_m,
+        corrections=given_frame_errors(now, poses_se3),
+    )
+
+
+def view_overlap(poses_se3: FloatArray, i: int, camera: PinholeCamera, depth_m: float) -> FloatArray:
+    """Shares (n,) of what frame `i` sees that other frames see too, from their poses (n, 4, 4) ``T_world_cam``.
+
+    What it sees is a grid of pixels at half, once and twice the depth; occlusion is ignored.
+    """
+    # middles of cells: at the image's edges rounding would decide, and a frame would not see all that it sees
+    across, down = ((np.arange(count) + 0.5) * side / count for side, count in ((camera.width, 5), (camera.height, 4)))
+    pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
+    rays = np.column_stack((camera.on_plane(pixels), np.ones(len(pixels))))
+    points = np.concatenate([rays * (depth_m * times) for times in (0.5, 1.0, 2.0)])
+    world = points @ poses_se3[i, :3, :3].T + poses_se3[i, :3, 3]
+    local = (world - poses_se3[:, None, :3, 3]) @ poses_se3[:, :3, :3]
+    ahead = local[..., 2] > 1e-6
+    plane = local[..., :2] / np.where(ahead, local[..., 2], 1.0)[..., None]
+    seen = plane * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    inside = ahead & (seen >= 0).all(axis=2) & (seen < (camera.width, camera.height)).all(axis=2)
+    return np.asarray(inside.mean(axis=1))
+
+
+def _partners(poses_se3: FloatArray, depth_m: float) -> list[IntArray]:
+    """For each frame, others that see the same scene from other positions; the best first."""
+    centres, forward = poses_se3[:, :3, 3], poses_se3[:, :3, 2]
+    found = []
+    for centre, ahead in zip(centres, forward, strict=True):
+        turned = np.arccos(np.clip(forward @ ahead, -1, 1))
+        apart = np.linalg.norm(centres - centre, axis=1) / depth_m
+        others = np.flatnonzero(
+            (turned < MAPPING.most_turned_rad) & (apart > MAPPING.nearest) & (apart < MAPPING.farthest)
+        )
+        cost = np.abs(np.log(apart[others] / MAPPING.best)) + turned[others] / MAPPING.usual_turn_rad
+        others = others[np.argsort(cost, kind="stable")[: 5 * MAPPING.partners]]
+        # neighbours in time say the same: take one of every few
+        found.append(others[:: max(1, len(others) // MAPPING.partners)][: MAPPING.partners])
+    return found
+
+
+def _matched(
+    features: Sequence[LocalFeatures], partners: Sequence[IntArray], matcher: Matcher, progress: Progress | None
+) -> list[list[tuple[int, IntArray]]]:
+    """For each frame, its partners and those whose partner it is, each with the corners that both see."""
+    later: list[set[int]] = [set() for _ in features]
+    for i, others in enumerate(partners):
+        for j in others.tolist():
+            later[min(i, j)].add(max(i, j))
+
+    def of(i: int) -> list[tuple[int, IntArray]]:
+        return [(j, matcher(features[i], features[j])) for j in sorted(later[i])]
+
+    found = in_threads(of, range(len(features)), progress)
+    for i, own in enumerate(list(map(list, found))):
+        for j, pairs in own:
+            found[j].append((i, pairs[:, ::-1]))
+    return found
+
+
+def _some_matches(features: Sequence[LocalFeatures], pairs: Sequence[Sequence[tuple[int, IntArray]]]) -> Matches:
+    rng, moving = np.random.default_rng(0), [its.flows for its in features]
+    frames, pixels, flows = [np.empty((0, 2), np.int64)], [np.empty((0, 2, 2))], [np.empty((0, 2, 2))]
+    for i, others in enumerate(pairs):
+        for j, found in others:
+            if i < j:
+                some = found[rng.permutation(len(found))[: MAPPING.matches_per_pair]]
+                frames.append(np.tile([i, j], (len(some), 1)))
+                pixels.append(np.stack((features[i].pixels[some[:, 0]], features[j].pixels[some[:, 1]]), axis=1))
+                flows.append(np.stack((moving[i][some[:, 0]], moving[j][some[:, 1]]), axis=1))
+    return Matches(np.concatenate(frames), np.concatenate(pixels), np.concatenate(flows))
+
+
+def _rays(
+    frames: range,
+    pairs: Sequence[Sequence[tuple[int, IntArray]]],
+    features: Sequence[LocalFeatures],
+    poses_cam: FloatArray,
+    camera: PinholeCamera,
+    numbers: IntArray,
+) -> Rays:
+    """Rays of the corners of some frames, numbered on from frame to frame; `numbers` are those of first corners."""
+    corners, cameras, pixels, others, before = [], [], [], [], 0
+    for i in frames:
+        seen = [(i, np.tile(np.arange(len(features[i].pixels))[:, None], 2)), *pairs[i]]
+        corners += [before + pair[:, 0] for _, pair in seen]
+        cameras += [np.full(len(pair), j) for j, pair in seen]
+        pixels += [features[j].pixels[pair[:, 1]] for j, pair in seen]
+        others += [numbers[j] + pair[:, 1] for j, pair in seen]
+        before += len(features[i].pixels)
+    corner = np.concatenate(corners)
+    order = np.argsort(corner, kind="stable")  # the corner's own frame stays first
+    plane, camera_of = camera.on_plane(np.concatenate(pixels)[order]), np.concatenate(cameras)[order]
+    seen_corner = np.concatenate(others)[order]
+    return Rays(corner[order], seen_corner, camera_of, plane, poses_cam[:, :3, :3], poses_cam[:, :3, 3])

@@ -1,1 +1,0 @@
-"""Networks and their training, in torch; running a trained model does not need this package."""

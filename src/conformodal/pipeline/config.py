@@ -1,0 +1,186 @@
+"""Settings of a pose model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from enum import StrEnum
+from typing import Any, Self
+
+from conformodal.conformal import QuantileBins
+from conformodal.conformal.calibration.joint import as_joint
+from conformodal.conformal.checks import as_alpha
+from conformodal.conformal.scores import resolve_score
+from conformodal.core.ranges import as_member, check_ranges, check_shares
+from conformodal.features.networks.lite import check_network
+from conformodal.features.settings import TrainingConfig, check_device
+from conformodal.io import SplitKind
+from conformodal.localizer.sources.registry import find_source
+
+from .errors import OdometryError
+
+
+class Calibration(StrEnum):
+    """What the thresholds of regions are calibrated on.
+
+    ``frames``: the calibration part; the guarantee is about a frame exchangeable with its frames. ``stretches``:
+    training and calibration part together, cut into stretches, or recordings where there are enough for alpha; each is
+    answered by sources that have not seen it, and the guarantee is about a random frame of a new stretch. ``auto``:
+    frames where the split holds out single frames, else stretches.
+    """
+
+    AUTO = "auto"
+    FRAMES = "frames"
+    STRETCHES = "stretches"
+
+
+class Runtime(StrEnum):
+    """What runs the network."""
+
+    ONNX = "onnx"  # ONNX Runtime on the CPU; the model contains the network and needs no torch
+    INT8 = "int8"  # the same with weights and activations in eight bits
+    TORCH = "torch"  # on the CPU, or on a graphics card in training
+
+
+class Method(StrEnum):
+    """Whose system a model is: this project's or the paper's."""
+
+    CONFORMODAL = "conformodal"
+    PAPER = "paper"
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Settings of a pose model.
+
+    Attributes
+    ----------
+    method
+        This project's system, or the paper's: see :meth:`paper`.
+    split
+        ``interleaved``, ``blocks``, ``recordings`` or ``given``.
+    n_bins
+        Bins per target (K).
+    margin
+        Share of the range by which bins reach beyond the training poses.
+    sigma_bins
+        Width of the order-aware labels, in bins; 0 for the paper's one-hot labels.
+    alpha, score, joint
+        Of :class:`~conformodal.conformal.SplitConformal`.
+    test, calibration, used
+        Shares of all frames or recordings, see :func:`~conformodal.io.make_split`.
+    calibrate_on
+        See :class:`~conformodal.pipeline.config.Calibration`.
+    novelty_level
+        Images whose p-value of showing a known place is at most this get an unbounded region; None for 0.015 where
+        single frames are held out, and 0.1 where stretches are.
+    sources
+        Names of pose sources, in the order in which they are fused, see
+        :class:`~conformodal.localizer.sources.registry.PoseSource`.
+    network
+        Of :data:`~conformodal.features.networks.lite.NETWORKS`, or ``hf:NAME``.
+    device
+        Of the network, in training: ``cpu``, ``cuda``, or ``auto``.
+    runtime
+        See :class:`~conformodal.pipeline.config.Runtime`. It computes the features in training too, so that the
+        guarantee is about what runs.
+    seed
+        Of the split and of training.
+    training
+        Of the head.
+
+    Raises
+    ------
+    ConformalError, LocalizationError, OdometryError, VisionError
+        If a setting cannot be used; before any frame is read.
+    """
+
+    method: Method = Method.CONFORMODAL
+    split: SplitKind = SplitKind.INTERLEAVED
+    n_bins: int = 50
+    margin: float = 0.02
+    sigma_bins: float = 0.7
+    alpha: float = 0.1
+    score: str = "hpd"
+    joint: str = "max"
+    test: float = 0.2
+    calibration: float = 0.16
+    used: float | None = None
+    calibrate_on: Calibration = Calibration.AUTO
+    novelty_level: float | None = None
+    sources: tuple[str, ...] = ("head", "neighbours", "landmarks")
+    network: str = "efficientnet_lite0"
+    device: str = "auto"
+    runtime: Runtime = Runtime.ONNX
+    seed: int = 0
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+
+    def __post_init__(self) -> None:
+        for name, choices in _CHOICES.items():
+            object.__setattr__(self, name, as_member(getattr(self, name), choices, name, OdometryError))
+        check_ranges(vars(self), OdometryError)
+        check_shares(self.test, self.calibration, self.used, OdometryError)
+        object.__setattr__(self, "alpha", float(as_alpha(self.alpha)))
+        as_joint(self.joint)
+        resolve_score(self.score)
+        QuantileBins(self.n_bins, self.margin)
+        check_network(self.network)
+        check_device(self.device)
+        if not self.sources or len(set(self.sources)) < len(self.sources):
+            raise OdometryError(f"sources must be different names, at least one, got {self.sources}")
+        for name in self.sources:
+            find_source(name)
+        if self.method is Method.PAPER:
+            wrong = {k: getattr(self, k) for k, v in _PAPER.items() if getattr(self, k) != v}
+            if wrong or self.training.components is not None:
+                raise OdometryError(f"the paper's system has no settings {wrong or 'training.components'}")
+
+    @classmethod
+    def paper(cls, **settings: Any) -> Self:
+        """The paper's system (Parente et al. 2024, sections 2 and 3).
+
+        Features of the whole network, averaged over the image; one softmax per dimension, with one-hot labels; quantile
+        bins without margin; the score ``lac``; each dimension calibrated at alpha by itself, on random frames of the
+        training data, whatever the split; no other pose source, search or smoother. What the paper does not specify is
+        as in this project: image size, a frozen network, optimiser, epochs, and a hidden layer before the softmaxes.
+        `settings` are the other attributes.
+
+        Raises
+        ------
+        OdometryError
+            If a setting is one that the paper's system does not have.
+        """
+        training = replace(settings.pop("training", TrainingConfig()), components=None)
+        return cls(**{**_PAPER, "training": training, **settings, "method": Method.PAPER})
+
+
+_CHOICES: dict[str, type[StrEnum]] = {
+    "method": Method,
+    "split": SplitKind,
+    "calibrate_on": Calibration,
+    "runtime": Runtime,
+}
+# Settings that define the paper's system.
+_PAPER: dict[str, Any] = {
+    "margin": 0.0,
+    "sigma_bins": 0.0,
+    "score": "lac",
+    "joint": "none",
+    "calibrate_on": Calibration.FRAMES,
+    "novelty_level": 0.0,
+    "sources": ("head",),
+}
+
+
+def record_of(config: ModelConfig, data: str, n_frames: int, calibrate_on: str) -> dict[str, Any]:
+    """The settings of a model as stored in its record, without alpha and the novelty level, which can change later."""
+    names = {"method": str(config.method), "split": str(config.split), "calibrate_on": calibrate_on}
+    fixed = {k: v for k, v in asdict(config).items() if k not in ("alpha", "novelty_level")}
+    return {**fixed, **names, "data": data, "n_frames": n_frames}
+
+
+def config_of(record: Mapping[str, Any]) -> ModelConfig:
+    """The settings of a model, from :attr:`~conformodal.pipeline.model.PoseModel.settings`."""
+    settings = {f.name: record[f.name] for f in fields(ModelConfig) if f.name in record}
+    kinds: dict[str, Callable[[Any], Any]] = {"sources": tuple, "training": lambda its: TrainingConfig(**its)}
+    return ModelConfig(**{k: kinds[k](v) if k in kinds else v for k, v in settings.items()})

@@ -1,0 +1,91 @@
+"""Folds of the calibration: frames or stretches that are held out from the sources that estimate them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from conformodal.conformal import conformal_rank
+from conformodal.conformal.checks import Alpha
+from conformodal.core.arrays import IntArray
+from conformodal.core.ranges import as_member
+from conformodal.io import Recording, Split, SplitKind, held_out_together
+
+from .config import Calibration
+from .errors import OdometryError
+from .model import PoseModel
+from .settings import FOLDS
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """Frames that sources learn from, and held-out frames that these sources estimate."""
+
+    train: IntArray
+    held_out: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Folds:
+    """All folds, and the labels (n,) of all frames."""
+
+    folds: list[Fold]  # one where frames calibrate
+    region_frames: IntArray  # that the model's own sources learn from
+    units: IntArray | None  # exchangeable units; None where every held-out frame is one
+    pieces: IntArray  # frames of one piece are held out together in the novelty test
+    first: int = 0  # number of the first frame among all that sources know
+    whole_recordings: bool = False  # whether units are recordings
+
+    @property
+    def held_out(self) -> IntArray:
+        """The frames that calibrate, fold by fold."""
+        return np.concatenate([fold.held_out for fold in self.folds])
+
+
+def make_folds(
+    sequence: Recording, split: Split, calibration: Calibration | str = Calibration.AUTO, alpha: Alpha = 0.1
+) -> Folds:
+    """The folds of a sequence's training and calibration parts; those of stretches are drawn with the split's seed.
+
+    Whole recordings take the place of stretches where there are enough of them for a finite threshold at `alpha`.
+    """
+    calibration = as_member(calibration, Calibration, "calibration", OdometryError)
+    if calibration is Calibration.AUTO:
+        by_frame = split.kind is SplitKind.INTERLEAVED
+        calibration = Calibration.FRAMES if by_frame else Calibration.STRETCHES
+    if calibration is Calibration.FRAMES:
+        pieces = held_out_together(sequence.recording, split.kind, given_test=sequence.given_test)
+        return Folds([Fold(split.train, split.calibration)], split.train, None, pieces)
+    used = np.sort(np.concatenate((split.train, split.calibration)))
+    units = sequence.recording
+    n_recordings = len(np.unique(units[used]))
+    whole = conformal_rank(n_recordings, alpha) <= n_recordings
+    if not whole:
+        units = held_out_together(sequence.recording, SplitKind.BLOCKS)
+    return Folds(_folds(used, units, split.seed), used, units, units, whole_recordings=whole)
+
+
+def make_added_folds(sequence: Recording, split: Split, model: PoseModel, n_blocks: int) -> Folds:
+    """The folds of recordings that are added to a model, from units as its own; `n_blocks` are the stretches.
+
+    Units and pieces are numbered on from the model's.
+    """
+    assert model.novelty is not None
+    first, next_piece = len(model.known_frames), int(model.novelty.test.groups.max()) + 1
+    if model.calibration.groups_ is None:
+        pieces = next_piece + held_out_together(sequence.recording, split.kind, n_blocks)
+        return Folds([Fold(split.train, split.calibration)], split.train, None, pieces, first)
+    used = np.sort(np.concatenate((split.train, split.calibration)))
+    whole = bool(model.configuration.get("whole_recordings"))
+    units = sequence.recording if whole else held_out_together(sequence.recording, SplitKind.BLOCKS, n_blocks)
+    units = next_piece + units
+    return Folds(_folds(used, units, split.seed), used, units, units, first, whole)
+
+
+def _folds(used: IntArray, units: IntArray, seed: int) -> list[Fold]:
+    names, folds = np.random.default_rng(seed).permutation(np.unique(units[used])), []
+    for part in np.array_split(names, min(FOLDS.most, len(names))):
+        hidden = np.isin(units[used], part)
+        folds.append(Fold(used[~hidden], used[hidden]))
+    return folds

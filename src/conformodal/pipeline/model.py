@@ -1,0 +1,280 @@
+"""A trained and calibrated pose model: from an image's features to its belief and its region."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from conformodal.conformal import QuantileBins, SplitConformal
+from conformodal.conformal.checks import Alpha
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
+from conformodal.core.ranges import as_member, check_ranges
+from conformodal.features.backbone import Backbone
+from conformodal.features.image_quality import QualityRange
+from conformodal.geometry import PinholeCamera
+from conformodal.io import Split, SplitKind
+from conformodal.localizer.belief import Beliefs
+from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.filter import Posterior
+from conformodal.localizer.localizer import Localizer
+from conformodal.localizer.novelty import PlaceNovelty
+from conformodal.localizer.prior import MotionPrior
+from conformodal.localizer.radius import PoseRadius
+from conformodal.localizer.region_rules import EvidenceType, RegionRules
+from conformodal.localizer.regions import PoseRegions, Support, pose_regions
+from conformodal.localizer.settings import FILTER, NOVELTY
+from conformodal.localizer.sources.landmarks import LandmarkSource
+
+from .comparison import SourceComparison
+from .config import Method
+from .errors import OdometryError
+from .identity import FrameIdentities
+
+# What posteriors rest on: the frames up to each (online), also as many after it as the lag (lagged), or all frames of
+# its recording (hindsight).
+PATHS = ONLINE, LAGGED, HINDSIGHT = "online", "lagged", "hindsight"
+
+
+def path_rule(cells: QuantileBins, alpha: Alpha) -> SplitConformal:
+    """The rule of regions from posteriors, yet to be calibrated: all targets together."""
+    rule = SplitConformal(cells, alpha, "hpd", "max")
+    rule.rule.keep_scale()
+    return rule
+
+
+@dataclass(frozen=True, eq=False)
+class Localization:
+    """Beliefs and calibrated regions of n images, each by itself."""
+
+    beliefs: Beliefs
+    regions: PoseRegions
+    known_p: FloatArray  # (n,) p-values of "this image shows a known place"; NaN where images are not tested
+    kinds: IntArray  # (n,) evidence types, see :class:`~conformodal.localizer.region_rules.EvidenceType`
+
+    def row(self, i: int) -> Localization:
+        """That of image `i`, as n = 1."""
+        at = slice(i, i + 1)
+        return Localization(self.beliefs.part(at), self.regions[at], self.known_p[at], self.kinds[at])
+
+    @property
+    def candidates(self) -> list[Candidates]:
+        """The hypotheses of each belief."""
+        return [mixture.candidates for mixture in self.beliefs.mixtures]
+
+    @property
+    def known(self) -> BoolArray:
+        """(n,) whether each image shows a known place."""
+        return np.asarray((self.kinds != EvidenceType.UNKNOWN) | self.beliefs.recognised)
+
+
+@dataclass(eq=False)
+class PoseModel:
+    """A trained and calibrated model.
+
+    Attributes
+    ----------
+    backbone
+        Image to features.
+    localizer
+        Evidence to belief. Its pose sources have not seen the calibration frames; where stretches calibrate, the
+        sources of the folds have not.
+    novelty
+        Test of images against the frames that the sources know; None without such a test.
+    rules
+        Belief to region: calibrated thresholds by evidence type.
+    prior
+        Motion prior.
+    camera
+        Of the training images.
+    split
+        Training, calibration and test frames.
+    known_frames
+        Identities of all frames of the training data, in the order of `split`.
+    configuration
+        Settings except alpha and the novelty level, which can change; see :attr:`settings`.
+    radius
+        Of the chosen pose, see :class:`~conformodal.localizer.radius.PoseRadius`; None before it is calibrated.
+    comparison
+        Of the model's sources with those of the folds, where stretches calibrate.
+    path_rules
+        Posterior to region: the calibration of each of :data:`PATHS`; empty where no motion was measured.
+    reliable_p
+        A pose counts as reliable from this probability of its place.
+    quality
+        Of the images that the sources know; images beyond are disturbed. None where disturbed ones are not calibrated.
+    """
+
+    backbone: Backbone
+    localizer: Localizer
+    novelty: PlaceNovelty | None
+    rules: RegionRules
+    prior: MotionPrior
+    camera: PinholeCamera
+    split: Split
+    known_frames: FrameIdentities
+    configuration: dict[str, Any] = field(default_factory=dict)
+    radius: PoseRadius | None = None
+    comparison: SourceComparison | None = None
+    path_rules: dict[str, SplitConformal] = field(default_factory=dict)
+    reliable_p: float = FILTER.reliable
+    quality: QualityRange | None = None
+
+    def __post_init__(self) -> None:
+        if self.looks_at_local_features and not self.localizer.local:
+            raise OdometryError("the calibration is that of beliefs with local features, and no source uses them")
+
+    @property
+    def method(self) -> Method:
+        """Whether the model is this project's system or the paper's."""
+        return as_member(self.configuration.get("method", Method.CONFORMODAL), Method, "method", OdometryError)
+
+    @property
+    def frames_are_exchangeable(self) -> bool:
+        """Whether test frames are to those that calibrate: drawn with them, and answered by the same sources."""
+        return self.split.kind is SplitKind.INTERLEAVED and not self.configuration.get("extended")
+
+    @property
+    def alpha(self) -> float:
+        """Miscoverage rate of the regions."""
+        return float(self.rules.overall.alpha)
+
+    @property
+    def recognised_level(self) -> float:
+        """Significance level of the novelty test where a place was recognised; 0 if no p-value is as small."""
+        level = NOVELTY.share_recognised * float(self.rules.level)
+        matched = None if self.novelty is None else self.novelty.matched
+        return level if matched is None or matched.least_p <= level else 0.0
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All current settings, as stored with results."""
+        return {**self.configuration, "alpha": self.alpha, "novelty_level": float(self.rules.level)}
+
+    @property
+    def bins(self) -> QuantileBins:
+        """Bins of the seven targets."""
+        return self.localizer.bins
+
+    @property
+    def sign_reference(self) -> FloatArray:
+        """(4,) quaternion that fixes the signs of quaternions."""
+        return self.localizer.sign_reference
+
+    @property
+    def calibration(self) -> SplitConformal:
+        """Calibration on the frames of all evidence types together."""
+        return self.rules.overall
+
+    @property
+    def n_calibration(self) -> int:
+        """Number of calibration frames."""
+        return int(self.calibration.scores_.shape[0])
+
+    @property
+    def looks_at_local_features(self) -> bool:
+        """Whether local features of an image are used."""
+        return self.rules.recognised is not None
+
+    @property
+    def landmarks(self) -> LandmarkSource | None:
+        """The source by PnP on landmarks, or None."""
+        return self.localizer.find(LandmarkSource)
+
+    def localize(self, evidence: FrameEvidence) -> Localization:
+        """Beliefs and calibrated regions of n images.
+
+        Raises
+        ------
+        OdometryError
+            If the model looks at local features, and the evidence has none.
+        """
+        if not self.looks_at_local_features:  # beliefs with local features are not calibrated then
+            evidence = FrameEvidence(evidence.features)
+        elif not evidence.local_features:
+            raise OdometryError("the model looks at local features, and the images come without")
+        beliefs, p = self.localizer.beliefs(evidence), np.full(len(evidence), np.nan)
+        disturbed: BoolArray | bool = False
+        if self.quality is not None and evidence.local_features:
+            disturbed = self.quality.left_by(evidence.quality)
+        if self.novelty is not None:
+            p = self.novelty.p_values(evidence.features, beliefs.recognition, disturbed)
+        kinds = self.rules.kinds(p, beliefs.recognised, disturbed)
+        supports = self.localizer.supports(beliefs)
+        kinds[[its.out_of_range for its in supports]] = EvidenceType.UNKNOWN
+        return Localization(beliefs, self.image_regions(beliefs, kinds), p, kinds)
+
+    def image_regions(self, beliefs: Beliefs, kinds: IntArray) -> PoseRegions:
+        """Regions of n images, each by itself, from their evidence types (n,), at the miscoverage rate in force."""
+        thresholds = self.rules.thresholds(kinds, beliefs.recognised)
+        return self._level_sets(self.rules.overall, beliefs, self.localizer.supports(beliefs), thresholds)
+
+    def _level_sets(
+        self, rule: SplitConformal, beliefs: Beliefs, supports: Sequence[Support], thresholds: RealArray
+    ) -> PoseRegions:
+        """Level sets of n beliefs at thresholds (n, 7) of the score."""
+        parts = self.localizer.marginals_by_part(beliefs)
+        return PoseRegions.concatenate(
+            [pose_regions(rule, proba, supports[rows], thresholds[rows]) for rows, proba in parts]
+        )
+
+    def path_regions(self, beliefs: Beliefs, posteriors: Sequence[Posterior], path: str) -> PoseRegions | None:
+        """Regions of n images from posteriors, unbounded where these are lost, or most probably beyond the cells.
+
+        `path`, one of :data:`PATHS`, says which frames the posteriors rest on.
+
+        None where these are not calibrated.
+        """
+        rule = self.path_rules.get(path)
+        if rule is None:
+            return None
+        after = beliefs.after(posteriors)
+        supports = self.localizer.supports(after)
+        lost = [posterior.lost or its.out_of_range for posterior, its in zip(posteriors, supports, strict=True)]
+        thresholds = np.where(np.array(lost)[:, None], np.inf, rule.thresholds_)
+        return self._level_sets(rule, after, supports, thresholds)
+
+    def recalibrate(self, alpha: Alpha) -> None:
+        """Change the miscoverage rate, from the stored calibration scores.
+
+        Raises
+        ------
+        ConformalError
+            If `alpha` is outside (0, 1).
+        """
+        self.rules = self.rules.at(alpha)
+        self.path_rules = {path: rule.at(alpha) for path, rule in self.path_rules.items()}
+
+    def set_novelty_level(self, level: float) -> None:
+        """Flag images whose p-value is at most `level` as unknown; at 0, none.
+
+        Raises
+        ------
+        OdometryError
+            If `level` is negative, or 1 or more.
+        """
+        check_ranges({"novelty_level": level}, OdometryError)
+        self.rules = replace(self.rules, level=0.0 if self.novelty is None else self.novelty.level(level))
+
+    def check_camera(self, camera: PinholeCamera, tolerance: float = 1e-3) -> None:
+        """Refuse images of another camera; intrinsics may differ by `tolerance` times the image's width.
+
+        Raises
+        ------
+        OdometryError
+            If size, intrinsics or distortion differ.
+        """
+        mine, other = self.camera, camera
+        same = (mine.width, mine.height) == (other.width, other.height)
+        values = [(mine.fx, other.fx), (mine.fy, other.fy), (mine.cx, other.cx), (mine.cy, other.cy)]
+        same = same and _lens(mine) == _lens(other)
+        if not same or any(abs(a - b) > tolerance * mine.width for a, b in values):
+            raise OdometryError(f"the model was trained with {mine}, the source has {other}")
+
+
+def _lens(camera: PinholeCamera) -> tuple[float, ...]:
+    """All five distortion coefficients, with the zeros that a file may leave out."""
+    return (*camera.distortion, *[0.0] * (5 - len(camera.distortion)))

@@ -1,0 +1,164 @@
+"""Training and calibrating a pose model on a sequence with poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from conformodal.conformal import SplitConformal
+from conformodal.core.extras import require_extra
+from conformodal.core.parallel import side_by_side
+from conformodal.core.progress import StageProgress, stage_of
+from conformodal.features.backbone import Backbone
+from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.geometry import RelativeMotion, sign_reference
+from conformodal.io import Recording, make_split, with_random_calibration
+from conformodal.localizer.localizer import Localizer
+from conformodal.localizer.novelty import PlaceNovelty
+from conformodal.localizer.prior import MotionPrior, fit_motion_prior
+from conformodal.localizer.settings import FILTER
+from conformodal.localizer.sources.registry import PoseSource
+from conformodal.localizer.targets import pose_targets
+from conformodal.tracking.motions import measure_motions
+
+from .calibrate import calibrate_disturbed, calibrate_paths, calibrate_regions, compare_sources, paper_rules
+from .config import Method, ModelConfig, Runtime, record_of
+from .folds import Folds, make_folds
+from .identity import identify
+from .model import PoseModel
+from .training_data import TrainingData
+
+
+def prepare_training_data(
+    sequence: Recording, config: ModelConfig, cache: FeatureCache, progress: StageProgress | None = None
+) -> TrainingData:
+    """Split a sequence and compute the features of all its frames.
+
+    Raises
+    ------
+    PoseError
+        If the sequence has no poses.
+    SplitError
+        If a part would be empty, or the sequence lacks the recordings or lists that the split needs.
+    ImageError
+        If an image cannot be read; names the file.
+    VisionError
+        If the device is not available.
+    MissingPackageError
+        If what training needs is not installed.
+    """
+    with require_extra("train", "training"):
+        from conformodal.features.export import exported, quantised  # noqa: PLC0415
+        from conformodal.features.networks.torch_backbone import (  # noqa: PLC0415
+            TorchBackbone,
+            backbone_config,
+            pick_device,
+        )
+
+    device, truth = pick_device(config.device), sequence.require_truth()
+    split = make_split(
+        sequence.recording,
+        config.split,
+        seed=config.seed,
+        test=config.test,
+        calibration=config.calibration,
+        used=config.used,
+        given_test=sequence.given_test,
+    )
+    if config.method is Method.PAPER:
+        split = with_random_calibration(split, config.calibration / (config.used or 1 - config.test))
+    size = sequence.camera.width, sequence.camera.height
+    backbone = TorchBackbone(backbone_config(*size, config.network, whole=config.method is Method.PAPER))
+    reference = sign_reference(truth.orientations_quat_wxyz[split.train])
+    targets = pose_targets(truth, reference)
+    backbone.to(device)
+    runs: Backbone = backbone
+    if config.runtime is not Runtime.TORCH:
+        runs = in_onnx = exported(backbone, cache)
+        if config.runtime is Runtime.INT8:
+            known = [sequence.image_paths[i] for i in split.train]
+            runs = quantised(in_onnx, known, cache, stage_of(progress, "quantising"))
+    stage = stage_of(progress, "features")
+    features = extract_features(sequence.image_paths, runs, cache, stage, sequence.noise)
+    return TrainingData(sequence, split, runs, features, targets, reference, cache)
+
+
+def train_model(
+    data: TrainingData,
+    config: ModelConfig,
+    *,
+    checkpoint_dir: Path | None = None,
+    progress: StageProgress | None = None,
+    fitted: Iterable[PoseSource] = (),
+) -> PoseModel:
+    """Train on the training part and calibrate; nothing is chosen on the test part.
+
+    Where frames calibrate, the sources learn from the training part. Where stretches do, each stretch of training and
+    calibration part is answered by sources that learnt from the others, and the model's own learn from all of them;
+    the scores of both are compared on some frames of the test part.
+
+    `fitted` are sources of another model of the same data that do not use the network's features: those that learnt
+    from the same frames are reused.
+    """
+    fitted = tuple(fitted)
+    folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
+    sources = data.for_sources(config, checkpoint_dir, progress)
+    parts = [fold.train for fold in folds.folds]
+    if len(parts) > 1 or not np.array_equal(parts[0], folds.region_frames):
+        parts.append(folds.region_frames)
+    (*localizers, localizer), (motions, known_frames) = side_by_side(
+        lambda: Localizer.fit_each(sources, parts, config.sources, fitted),
+        lambda: (_held_out_motions(data.sequence, folds, config, progress), identify(data.sequence)),
+    )
+    localizers = localizers or [localizer]
+    prior = _motion_prior(data, config)
+    if config.method is Method.PAPER:  # without a novelty test
+        novelty, rules = None, paper_rules(sources, folds.held_out, localizer, config)
+        paths: dict[str, SplitConformal] = {}
+        reliable_p, quality = FILTER.reliable, None
+    else:
+        known, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
+        novelty = PlaceNovelty.fit(known, pieces, data.backbone.config.grid)
+        its = calibrate_regions(sources, folds, localizers, novelty, config)
+        (paths, reliable_p), (disturbed, quality) = side_by_side(
+            lambda: calibrate_paths(data.sequence, data.targets, folds, localizers, its, prior, motions),
+            lambda: calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, its, progress),
+        )
+        rules, novelty = disturbed.rules, disturbed.novelty
+    stretches, test = folds.units is not None, data.split.test
+    return PoseModel(
+        backbone=data.backbone,
+        localizer=localizer,
+        novelty=novelty,
+        rules=rules,
+        prior=prior,
+        camera=data.sequence.camera,
+        split=data.split,
+        known_frames=known_frames,
+        configuration=record_of(config, data.sequence.name, len(data.sequence), "stretches" if stretches else "frames")
+        | {"whole_recordings": folds.whole_recordings},
+        comparison=compare_sources(sources, localizers, localizer, novelty, rules, test) if stretches else None,
+        path_rules=paths,
+        reliable_p=reliable_p,
+        quality=quality,
+    )
+
+
+def _held_out_motions(
+    sequence: Recording, folds: Folds, config: ModelConfig, progress: StageProgress | None
+) -> dict[int, RelativeMotion | None]:
+    if config.method is Method.PAPER:
+        return {}
+    return measure_motions(sequence, np.sort(folds.held_out), progress, local=False).motions
+
+
+def _motion_prior(data: TrainingData, config: ModelConfig) -> MotionPrior:
+    truth, train = data.sequence.require_truth(), data.split.train
+    prior = fit_motion_prior(truth[train], data.sequence.recording[train])
+    if config.method is Method.PAPER:
+        return prior
+    depth, spread = data.depths
+    return replace(prior, depth_m=depth, depth_spread=spread)

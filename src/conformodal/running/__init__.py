@@ -1,1 +1,0 @@
-"""Answering recordings and streams with a trained model, and writing the results."""

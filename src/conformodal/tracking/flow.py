@@ -1,0 +1,60 @@
+"""How fast the picture moves where a frame is taken: an affine model of the flow of tracked corners."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.core.arrays import FloatArray, UInt8Array
+from conformodal.features.local import LocalFeatures, extract_local_features
+from conformodal.geometry import PinholeCamera
+from conformodal.geometry.shutter import NO_FLOW
+from conformodal.geometry.undistortion import undistort
+from conformodal.io import ImageError, Recording
+from conformodal.io.decoding import grey_image
+
+from .settings import FLOW
+from .tracker import CornerTracker
+
+_Step = tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]]
+
+
+def affine_flow(step: _Step, seconds: float, camera: PinholeCamera) -> FloatArray:
+    """Flow (2, 3) in pixels per second, as ``flow @ (x, y, 1)`` at an undistorted pixel, by robust least squares.
+
+    `step` are pixels (n, 2) of the same corners `seconds` ago and now, see :attr:`CornerTracker.step`: those of the
+    usable frame directly before, in training as in a run. Zero, if they are few or that is long ago.
+    """
+    if not 0 < seconds < FLOW.longest_s or len(step[0]) < FLOW.least_corners:
+        return NO_FLOW
+    before, now = (undistort(pixels.astype(np.float64), camera) for pixels in step)
+    moved, rows = now - before, np.column_stack((now, np.ones(len(now))))
+    weights = np.ones((len(now), 1))
+    for _ in range(FLOW.iterations):
+        flow, *_ = np.linalg.lstsq(rows * weights, moved * weights, rcond=None)
+        off = np.linalg.norm(moved - rows @ flow, axis=1)
+        weights = 1 / np.sqrt(1 + (off / (np.median(off) + FLOW.least_px)) ** 2)[:, None]
+    return np.asarray(flow.T / seconds)
+
+
+def flow_of(sequence: Recording, i: int, image: UInt8Array) -> FloatArray:
+    """The flow (2, 3) in a frame of a sequence, its `image`, from the last frame before it that can be read."""
+    for before in range(i - 1, -1, -1):
+        seconds = float(sequence.timestamps_s[i] - sequence.timestamps_s[before])
+        if not 0 < seconds < FLOW.longest_s or sequence.recording[i] != sequence.recording[before]:
+            break
+        tracker = CornerTracker()
+        try:
+            tracker.advance(grey_image(sequence.image(before)))
+        except ImageError:
+            continue
+        tracker.mark()
+        tracker.advance(grey_image(image))
+        return affine_flow(tracker.step, seconds, sequence.camera)
+    return NO_FLOW
+
+
+def frame_features(sequence: Recording, i: int) -> LocalFeatures:
+    """Local features of a frame of a sequence, with its flow."""
+    image = sequence.image(i)
+    return extract_local_features(image, sequence.camera)._replace(flow=flow_of(sequence, i, image))

@@ -1,0 +1,151 @@
+"""From images to relative motions: the tracker and the two-view geometry behind one small class."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from conformodal.core.arrays import FloatArray, UInt8Array
+from conformodal.geometry import MotionStatus, PinholeCamera, RelativeMotion
+from conformodal.geometry.undistortion import undistort
+from conformodal.io.decoding import grey_image
+
+from .relative_pose import estimate_relative_motion
+from .settings import RELATIVE_POSE
+from .tracker import Corners, CornerTracker
+from .two_view import solve_opencv
+
+_FIVE = 5  # corners that an essential matrix needs
+
+
+class FrontEnd(ABC):
+    """Relative motion between frames of one camera.
+
+    :meth:`track_only` tracks through an intermediate frame; :meth:`measure` ends an interval and starts the next.
+
+    Attributes
+    ----------
+    tracks
+        Pixels (m, 2) of the same corners in the last measured frame and in the one before, or a later one where corners
+        were renewed between; None for the first frame.
+    corners
+        All corners of the last measured frame, for :func:`~conformodal.tracking.submaps.build_submaps`.
+    """
+
+    def __init__(self, camera: PinholeCamera) -> None:
+        self.camera = camera
+        self.tracker = CornerTracker()
+        self.tracks: tuple[FloatArray, FloatArray] | None = None
+        self.corners: Corners = self.tracker.corners()
+
+    def reset(self) -> None:
+        """Start a new recording."""
+        self.tracker.reset()
+
+    def track_only(self, image: UInt8Array) -> None:
+        """Track corners through a frame (height, width[, 3]) without measuring a motion."""
+        self.tracker.advance(grey_image(image))
+
+    def measure(self, image: UInt8Array) -> RelativeMotion | None:
+        """Motion from the frame measured last to this one; None for the first frame of a recording."""
+        first = not self.tracker.started
+        self.tracker.advance(grey_image(image))
+        self.tracks = None if first else self.tracker.pairs()
+        motion = None if self.tracks is None else self._motion(*self.tracks)
+        self.tracker.mark()
+        self.corners = self.tracker.corners()
+        return motion
+
+    @abstractmethod
+    def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
+        """Motion between the marked frame and the current one, from the pixels (n, 2) of the same corners."""
+
+
+class MotionFrontEnd(FrontEnd):
+    """Relative motions with checks for pure rotation, small steps, planes and repeated pictures.
+
+    If corners had to be renewed within an interval, rotations are chained and the direction, which would need the
+    lengths of the parts, is left out.
+    """
+
+    def __init__(self, camera: PinholeCamera) -> None:
+        super().__init__(camera)
+        self._forget_accumulated()
+
+    def reset(self) -> None:
+        """Start a new recording."""
+        super().reset()
+        self._forget_accumulated()
+
+    def _forget_accumulated(self) -> None:
+        self._accumulated = np.eye(3)  # rotation from the frame measured last to the mark
+        self._n_accumulated = 0
+        self._accumulated_variance = 0.0
+        self._broken = False
+
+    def track_only(self, image: UInt8Array) -> None:
+        """Track corners through a frame (height, width[, 3]) without measuring a motion."""
+        super().track_only(image)
+        if len(self.tracker.pairs()[0]) < RELATIVE_POSE.remark_below * self.tracker.n_at_mark:
+            self._accumulate()
+
+    def measure(self, image: UInt8Array) -> RelativeMotion | None:
+        """Motion from the frame measured last to this one.
+
+        None for the first frame of a recording, or a motion with status ``TOO_FEW`` if it is blank.
+        """
+        motion = super().measure(image)
+        if motion is None and self.tracker.n_at_mark < RELATIVE_POSE.min_tracks:
+            return RelativeMotion(MotionStatus.TOO_FEW, n_tracks=self.tracker.n_at_mark)
+        return motion
+
+    def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
+        motion = self._since_mark(before, now)
+        if self._n_accumulated or self._broken:
+            motion = self._chain(motion)
+        self._forget_accumulated()
+        return motion
+
+    def _since_mark(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
+        return estimate_relative_motion(before, now, self.camera, self.tracker.n_at_mark)
+
+    def _accumulate(self) -> None:
+        motion = self._since_mark(*self.tracker.pairs())
+        if motion.R_prev_next is None:
+            self._broken = True
+        else:
+            self._accumulated = self._accumulated @ motion.R_prev_next
+            self._n_accumulated += 1
+            self._accumulated_variance += motion.rotation_sigma_rad**2
+        self.tracker.mark()
+
+    def _chain(self, last: RelativeMotion) -> RelativeMotion:
+        if self._broken or last.R_prev_next is None:
+            status = MotionStatus.LOST if self._broken else last.status
+            return RelativeMotion(status, n_tracks=last.n_tracks, n_inliers=last.n_inliers)
+        return RelativeMotion(
+            MotionStatus.LOW_PARALLAX,
+            self._accumulated @ last.R_prev_next,
+            None,
+            last.n_tracks,
+            last.n_inliers,
+            rotation_sigma_rad=float(np.sqrt(self._accumulated_variance + last.rotation_sigma_rad**2)),
+        )
+
+
+class EssentialFrontEnd(FrontEnd):
+    """Rotation and direction by OpenCV's essential matrix, as in section 3 of the paper.
+
+    It has none of the checks of :class:`MotionFrontEnd`: it gives a direction whenever it finds a matrix.
+    """
+
+    def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
+        n = len(before)
+        if n < _FIVE:
+            return RelativeMotion(MotionStatus.TOO_FEW, n_tracks=n)
+        found = solve_opencv(undistort(before, self.camera), undistort(now, self.camera), self.camera)
+        if found is None:
+            return RelativeMotion(MotionStatus.INCONSISTENT, n_tracks=n)
+        n_inliers = int(found.inliers.sum())
+        return RelativeMotion(MotionStatus.OK, found.R_prev_next, found.direction_prev, n, n_inliers)

@@ -1,0 +1,87 @@
+"""What is measured in frames without a network: relative motions, submaps, local features."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from conformodal.core.arrays import IntArray
+from conformodal.core.parallel import go_on
+from conformodal.core.progress import StageProgress
+from conformodal.features.local import LocalFeatures, extract_local_features
+from conformodal.geometry import RelativeMotion, Submap
+from conformodal.io import ImageError, Recording
+
+from .flow import affine_flow
+from .frontend import FrontEnd, MotionFrontEnd
+from .submaps import build_submaps
+from .tracker import Corners
+
+
+@dataclass(frozen=True, eq=False)
+class MotionRecord:
+    """Motion between the answered frames of a sequence."""
+
+    # by frame: the motion from the answered frame before; None for the first of a recording
+    motions: dict[int, RelativeMotion | None]
+    unreadable: dict[int, str]  # frames that could not be decoded, and why
+    submaps: list[Submap] = field(default_factory=list)  # of the answered frames; each lies within one recording
+    # by frame; empty where they were not asked for
+    local_features: dict[int, LocalFeatures] = field(default_factory=dict)
+
+    def submaps_of(self, frames: IntArray) -> list[Submap]:
+        """Submaps of `frames` (m,), by their place among these."""
+        places = {frame: k for k, frame in enumerate(frames.tolist())}
+        return [own for submap in self.submaps if (own := submap.renumbered(places)) is not None]
+
+
+def measure_motions(
+    sequence: Recording,
+    frames: IntArray,
+    progress: StageProgress | None = None,
+    *,
+    front_end: FrontEnd | None = None,
+    local: bool = True,
+) -> MotionRecord:
+    """Relative motions of `frames`, increasing indices in a sequence, followed through all frames between them.
+
+    `front_end` measures them, by default a :class:`~conformodal.tracking.frontend.MotionFrontEnd`. With `local`,
+    submaps are built and local features extracted too.
+    """
+    answer, times = set(frames.tolist()), sequence.timestamps_s
+    front_end = front_end or MotionFrontEnd(sequence.camera)
+    found = MotionRecord({}, {})
+    recording, before = None, 0  # the last frame that could be read
+    corners: dict[int, Corners] = {}
+    span = range(int(frames.min()), int(frames.max()) + 1) if frames.size else range(0)
+    for done, i in enumerate(span, start=1):
+        go_on()
+        if sequence.recording[i] != recording:
+            _add_submaps(found, corners, sequence)
+            corners = {}
+            front_end.reset()
+            recording = sequence.recording[i]
+        try:
+            image = sequence.image(i)
+        except ImageError as exc:
+            if i in answer:
+                found.unreadable[i] = str(exc)
+            continue
+        if i in answer:
+            found.motions[i] = front_end.measure(image)
+            if local:
+                corners[i] = front_end.corners
+                flow = affine_flow(front_end.tracker.step, float(times[i] - times[before]), sequence.camera)
+                found.local_features[i] = extract_local_features(image, sequence.camera)._replace(flow=flow)
+        else:
+            front_end.track_only(image)
+        before = i
+        if progress is not None:
+            progress("motion", done, len(span))
+    _add_submaps(found, corners, sequence)
+    return found
+
+
+def _add_submaps(found: MotionRecord, corners: dict[int, Corners], sequence: Recording) -> None:
+    frames = dict(enumerate(corners))
+    submaps = (submap.renumbered(frames) for submap in build_submaps(list(corners.values()), sequence.camera))
+    found.submaps.extend(submap for submap in submaps if submap is not None)

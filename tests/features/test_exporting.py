@@ -1,0 +1,134 @@
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+from onnx import load_model_from_string
+from PIL import Image
+
+from conformodal.features import export as exporting
+from conformodal.features.backbone import BackboneConfig, feature_views
+from conformodal.features.export import exported, quantised, with_head
+from conformodal.features.extract import FeatureCache
+from conformodal.features.heads import fit_head, soft_cross_entropy
+from conformodal.features.networks.torch_backbone import TorchBackbone
+from conformodal.features.onnx_backbone import OnnxBackbone
+from conformodal.features.projection import fit_projection
+from conformodal.features.settings import TrainingConfig, VisionError
+from conformodal.localizer.targets import TARGET_NAMES
+
+CONFIG = BackboneConfig(width=96, height=64, grid=(2, 3))
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return FeatureCache(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(scope="module")
+def backbone():
+    return TorchBackbone(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def onnx(backbone, cache):
+    return exported(backbone, cache)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    rng, folder = np.random.default_rng(0), tmp_path_factory.mktemp("images")
+    paths = [folder / f"{i}.png" for i in range(12)]
+    for path in paths:
+        small = Image.fromarray(rng.integers(0, 255, (8, 12, 3), dtype=np.uint8))
+        small.resize((96, 64), Image.Resampling.BICUBIC).save(path)
+    return paths
+
+
+@pytest.fixture(scope="module")
+def images(files):
+    return np.stack([np.asarray(Image.open(path)) for path in files])
+
+
+def test_the_exported_network_gives_torchs_features(backbone, onnx, images):
+    expected = backbone.maps(images)
+    np.testing.assert_allclose(onnx.maps(images), expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_features_do_not_depend_on_the_other_images_of_a_batch(onnx, images):
+    np.testing.assert_array_equal(onnx.maps(images), np.concatenate([onnx.maps(image[None]) for image in images]))
+    np.testing.assert_array_equal(onnx.describe(images)[1:2].astype(np.float32), onnx.features_of(images[1]))
+
+
+def test_a_network_is_exported_once(backbone, onnx, cache, monkeypatch):
+    monkeypatch.setattr(exporting, "_export", lambda _: pytest.fail("exported again"))
+    again = exported(backbone, cache)
+    assert again.content == onnx.content
+    assert again.fingerprint == onnx.fingerprint != backbone.fingerprint
+
+
+def test_the_file_names_no_source_of_this_machine(onnx):
+    assert b".py" not in onnx.content
+
+
+def test_the_oldest_runtime_reads_the_file(onnx):
+    model = load_model_from_string(onnx.content)
+    assert model.ir_version == 10  # the newest of ONNX Runtime 1.20
+    assert {one.domain: one.version for one in model.opset_import if one.version}[""] == 18
+    assert '"onnxruntime>=1.20"' in (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+
+
+def test_an_export_that_answers_otherwise_is_refused(backbone, onnx, monkeypatch):
+    other = TorchBackbone(CONFIG)
+    for name, value in other.layers.named_parameters():
+        if name.endswith("bias"):
+            value.zero_()
+    monkeypatch.setattr(exporting, "_export", lambda _: onnx.content)
+    with pytest.raises(VisionError, match="answers otherwise"):
+        exported(other, FeatureCache(None))
+
+
+@pytest.mark.parametrize("content", [b"", b"no network", "half"])
+def test_files_that_are_no_network_are_refused(onnx, content):
+    with pytest.raises(VisionError, match="not an ONNX file"):
+        OnnxBackbone(CONFIG, onnx.content[: len(onnx.content) // 2] if content == "half" else content)
+
+
+def test_a_network_for_other_images_is_refused(onnx):
+    with pytest.raises(VisionError, match=r"the input 'images' \(n, 48, 96, 3\)"):
+        OnnxBackbone(BackboneConfig(width=96, height=48, grid=(2, 3)), onnx.content)
+
+
+def test_eight_bits_are_smaller_and_near(onnx, files, images, tmp_path):
+    cache = FeatureCache(tmp_path / "cache")
+    small = quantised(onnx, files, cache)
+    assert len(small.content) < 0.5 * len(onnx.content)
+    assert small.fingerprint != onnx.fingerprint
+    whole = onnx.maps(images)
+    # 0.30 where the processor has no VNNI: sums of products of eight bits saturate there
+    assert np.sqrt(np.mean((small.maps(images) - whole) ** 2)) < 0.4 * whole.std()
+
+
+def test_a_network_is_quantised_once_for_the_same_images(onnx, files, tmp_path, monkeypatch):
+    cache = FeatureCache(tmp_path / "cache")
+    first = quantised(onnx, files, cache)
+    monkeypatch.setattr(exporting, "_quantise", lambda *_: onnx.content)
+    assert quantised(onnx, files, cache).content == first.content
+    assert quantised(onnx, files[:5], cache).content == onnx.content  # other images: made anew
+
+
+@pytest.mark.parametrize("components", [4, None])
+def test_the_file_with_the_head_gives_the_probabilities_of_the_model(onnx, images, components):
+    features = onnx.describe(images).astype(np.float32)
+    sizes = [3, 2, 4, 2, 3, 2, 5]
+    labels = np.concatenate([np.random.default_rng(k).dirichlet(np.ones(k), len(images)) for k in sizes], axis=1)
+    through = fit_projection(features, components, feature_views(features.shape[1]).network)
+    config = TrainingConfig(epochs=3, hidden=16, batch_size=4)
+    head = fit_head(features, labels, sizes, soft_cross_entropy, config, projection=through).trained()
+    session = onnxruntime.InferenceSession(with_head(onnx, head, TARGET_NAMES), providers=["CPUExecutionProvider"])
+    assert [node.name for node in session.get_outputs()] == ["map", *TARGET_NAMES]
+    batch = session.run(list(TARGET_NAMES), {"images": images})  # of any number of images
+    for k, expected in enumerate(head.predict_proba(features)):
+        assert batch[k].shape == expected.shape
+        single = np.concatenate([session.run([TARGET_NAMES[k]], {"images": image[None]})[0] for image in images])
+        np.testing.assert_allclose(single, expected, atol=1e-5)

@@ -1,0 +1,129 @@
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from conformodal.features.backbone import BackboneConfig, feature_views
+from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.features.heads import Head
+from conformodal.features.networks.torch_backbone import TorchBackbone
+from conformodal.features.projection import fit_projection
+from conformodal.features.settings import VisionError
+from conformodal.io import ImageError, PixelNoise, thumbnail
+
+
+@pytest.fixture(scope="module")
+def backbone():
+    return TorchBackbone(BackboneConfig(width=96, height=64, grid=(2, 3)))
+
+
+@pytest.fixture
+def images(tmp_path):
+    rng = np.random.default_rng(0)
+    paths = [tmp_path / f"{i}.png" for i in range(5)]
+    for path in paths:
+        Image.fromarray(rng.integers(0, 255, (128, 192, 3), dtype=np.uint8)).save(path)
+    return paths
+
+
+def test_noisy_images_have_other_features_and_their_own_place_in_the_cache(backbone, images, tmp_path):
+    cache = FeatureCache(tmp_path / "cache")
+    clean = extract_features(images, backbone, cache)
+    noise = PixelNoise(0.1)
+    noisy = extract_features(images, backbone, cache, noise=noise)
+    assert np.abs(noisy - clean).max() > 0.1
+    np.testing.assert_array_equal(extract_features(images, backbone, cache, noise=noise), noisy)
+    np.testing.assert_array_equal(extract_features(images, backbone, cache, noise=PixelNoise(0.0)), clean)
+    np.testing.assert_array_equal(extract_features(images, backbone, cache), clean)
+    shown = backbone.prepare(noise.apply(np.asarray(Image.open(images[0])), images[0].name))
+    np.testing.assert_allclose(noisy[0], backbone.describe(shown[None])[0].astype(np.float32), rtol=2e-3, atol=2e-3)
+
+
+def test_features_are_the_networks_map_and_the_thumbnail(backbone):
+    images = np.random.default_rng(0).integers(0, 255, (2, 64, 96, 3), dtype=np.uint8)
+    features = backbone.describe(images).astype(np.float32)
+    views = feature_views(features.shape[1])
+    with torch.inference_mode():
+        network = backbone(torch.from_numpy(images)).numpy()
+    np.testing.assert_allclose(features[:, views.network], network, rtol=1e-3, atol=1e-3)
+    pictures = np.stack([thumbnail(image) for image in images])
+    np.testing.assert_allclose(
+        features[:, views.thumbnail], pictures * np.sqrt(pictures.shape[1]), rtol=1e-3, atol=1e-3
+    )
+    assert features[:, views.both].shape == features.shape
+    with pytest.raises(VisionError, match="768 numbers, got 768"):
+        feature_views(768)
+
+
+def test_cached_features_are_the_same_and_need_no_network(backbone, images, tmp_path, monkeypatch):
+    cache = FeatureCache(tmp_path / "cache")
+    seen = []
+    first = extract_features(images, backbone, cache, lambda done, total: seen.append((done, total)))
+    assert first.shape == (5, 480 + 768)  # the network's map and the thumbnail
+    assert seen[-1] == (5, 5)
+    np.testing.assert_array_equal(extract_features(images, backbone, FeatureCache(None)), first)
+    monkeypatch.setattr(TorchBackbone, "maps", lambda *_: pytest.fail("the network was run again"))
+    moved = tmp_path / "elsewhere.png"
+    images[2].rename(moved)
+    np.testing.assert_array_equal(extract_features([moved], backbone, cache), first[2:3])
+
+
+def test_other_settings_are_other_features(backbone, images, tmp_path):
+    other = TorchBackbone(BackboneConfig(width=96, height=64, grid=(2, 3), block=4))
+    assert other.fingerprint != backbone.fingerprint
+    cache = FeatureCache(tmp_path / "cache")
+    assert extract_features(images, backbone, cache).shape != extract_features(images, other, cache).shape
+
+
+def test_unreadable_images_are_named(backbone, images, tmp_path):
+    images[3].write_bytes(images[3].read_bytes()[:200])
+    with pytest.raises(ImageError, match=r"3\.png"):
+        extract_features(images, backbone, FeatureCache(None))
+    with pytest.raises(ImageError, match="absent"):
+        extract_features([tmp_path / "absent.png"], backbone, FeatureCache(None))
+
+
+def test_projected_features_are_centred_uncorrelated_and_of_one_scale():
+    rng = np.random.default_rng(0)
+    x = (rng.normal(size=(200, 5)) @ rng.normal(size=(5, 40)) + 3).astype(np.float32)
+    x[:, 7] = 2.0  # a dead feature
+    through = fit_projection(x, 4)
+    z = (x - through.offset) @ through.components
+    assert through.size == 4
+    np.testing.assert_allclose(z.mean(axis=0), 0, atol=1e-4)
+    covariance = np.cov(z.T)
+    np.testing.assert_allclose(covariance, np.diag(np.diag(covariance)), atol=1e-3)
+    assert np.trace(covariance) / 4 == pytest.approx(1, rel=1e-3)
+    assert (np.diff(np.diag(covariance)) < 0).all()  # not whitened: the first matter most
+    standard = (x - x.mean(axis=0)) / (x.std(axis=0) + 1e-3)
+    values = np.sort(np.linalg.eigvalsh(np.cov(standard.T)))[::-1][:4]
+    np.testing.assert_allclose(np.diag(covariance) / np.trace(covariance), values / values.sum(), rtol=1e-3)
+
+
+@pytest.mark.parametrize("components", [4, None])
+def test_a_view_looks_at_some_features_and_no_others(components):
+    x = np.random.default_rng(0).normal(size=(30, 10)).astype(np.float32)
+    through, part = fit_projection(x, components, slice(2, 8)), fit_projection(x[:, 2:8], components)
+    assert through.size == (10 if components is None else 4)
+    np.testing.assert_allclose(through.components[2:8], part.components)
+    np.testing.assert_array_equal(through.components[[0, 1, 8, 9]], 0)
+
+
+@pytest.mark.parametrize(("n", "components", "size"), [(3, 256, 2), (50, 256, 6), (50, None, 6)])
+def test_a_projection_has_no_more_directions_than_samples_or_features_allow(n, components, size):
+    x = np.random.default_rng(0).normal(size=(n, 6)).astype(np.float32)
+    through = fit_projection(x, components)
+    assert through.size == size
+    head = Head(through, [2])
+    z = head.project(torch.from_numpy(x)).numpy()
+    assert np.isfinite(z).all()
+    if components is None:
+        np.testing.assert_allclose(z.std(axis=0), 1, rtol=2e-3)
+    np.testing.assert_array_equal(head.projection.components, through.components)
+
+
+@pytest.mark.parametrize("value", [0.1, 0.37, 117 / 255])
+def test_equal_features_have_no_directions_though_their_mean_is_rounded(value):
+    through = fit_projection(np.full((37, 9), value, dtype=np.float32), 4)
+    assert through.components.shape == (9,)
+    assert np.abs(through.apply(np.full((1, 9), value, dtype=np.float32))).max() < 1e-3

@@ -1,0 +1,89 @@
+import cv2
+import numpy as np
+import pytest
+
+from conformodal.features.local import extract_local_features, match
+from conformodal.geometry import PinholeCamera
+
+
+def texture(width, height, seed=0):
+    noise = np.random.default_rng(seed).integers(0, 256, (height // 8, width // 8), dtype=np.uint8)
+    return np.asarray(cv2.resize(noise, (width, height), interpolation=cv2.INTER_NEAREST))
+
+
+def camera(width, height, lens=()):
+    return PinholeCamera(width, width, width / 2, height / 2, width, height, lens)
+
+
+def test_corners_of_a_shifted_image_are_shifted():
+    image = texture(640, 480)
+    here = extract_local_features(image[:400, :600], camera(600, 400))
+    there = extract_local_features(image[7:407, 12:612], camera(600, 400))
+    pairs = match(here.descriptors, there.descriptors)
+    assert len(pairs) > 100
+    moved = here.pixels[pairs[:, 0]] - there.pixels[pairs[:, 1]]
+    assert np.mean(np.linalg.norm(moved - (12, 7), axis=1) < 2) > 0.9
+
+
+def test_small_images_are_enlarged_and_corners_stay_where_they_are():
+    large = texture(320, 240)
+    small = np.asarray(cv2.resize(large, (160, 120), interpolation=cv2.INTER_AREA))
+    pairs = match(
+        extract_local_features(large, camera(320, 240)).descriptors,
+        extract_local_features(small, camera(160, 120)).descriptors,
+    )
+    a = extract_local_features(large, camera(320, 240)).pixels[pairs[:, 0]]
+    b = extract_local_features(small, camera(160, 120)).pixels[pairs[:, 1]]
+    off = b - ((a + 0.5) / 2 - 0.5)  # the centre of the first pixel is 0 in both
+    assert len(off) > 20
+    np.testing.assert_allclose(np.median(off, axis=0), 0, atol=0.15)
+
+
+def test_the_lens_is_taken_out():
+    image = texture(640, 480)
+    straight = extract_local_features(image, camera(640, 480))
+    bent = extract_local_features(image, camera(640, 480, (-0.2, 0.05, 0.0, 0.0)))
+    far = np.linalg.norm(straight.pixels - (320, 240), axis=1) > 150
+    away = np.linalg.norm(bent.pixels - straight.pixels, axis=1)
+    assert (away[far] > 1).all()
+    np.testing.assert_array_equal(bent.descriptors, straight.descriptors)
+
+
+def test_a_blank_image_has_no_corners():
+    blank = extract_local_features(np.full((120, 160, 3), 90, np.uint8), camera(160, 120))
+    assert blank.pixels.shape == (0, 2)
+    assert blank.descriptors.shape == (0, 32)
+    np.testing.assert_array_equal(blank.global_descriptor, 0)
+    assert match(blank.descriptors, blank.descriptors).shape == (0, 2)
+
+
+@pytest.mark.parametrize("n_others", [0, 1])
+def test_one_descriptor_to_choose_from_is_no_choice(n_others):
+    some = np.random.default_rng(0).integers(0, 256, (5, 32), dtype=np.uint8)
+    assert len(match(some, some[:n_others])) == 0
+
+
+def test_pairs_are_one_to_one():
+    rng = np.random.default_rng(0)
+    others = rng.integers(0, 256, (50, 32), dtype=np.uint8)
+    doubled = np.concatenate((others, others[:20]))
+    pairs = match(doubled, others)
+    assert len(np.unique(pairs[:, 0])) == len(np.unique(pairs[:, 1])) == len(pairs) == 50
+    np.testing.assert_array_equal(doubled[pairs[:, 0]], others[pairs[:, 1]])
+
+
+def test_matches_are_those_of_the_definition():
+    """Nearest by differing bits, clearly nearer than the second, and the best of those that share it."""
+    rng = np.random.default_rng(1)
+    others = rng.integers(0, 256, (70, 32), dtype=np.uint8)
+    noise = (rng.random((120, 32)) < rng.choice([0.05, 0.3, 0.6], (120, 1))).astype(np.uint8)
+    some = others[rng.integers(0, 70, 120)] ^ noise * rng.integers(1, 256, (120, 32), dtype=np.uint8)
+    bits = [np.unpackbits(its, axis=1).astype(int) for its in (some, others)]
+    distances = np.abs(bits[0][:, None] - bits[1]).sum(axis=2)
+    first, second = np.sort(distances, axis=1)[:, :2].T
+    found = {}
+    for i in np.lexsort((np.arange(120), first)):
+        if first[i] < 0.85 * second[i]:
+            found.setdefault(int(distances[i].argmin()), int(i))
+    assert 20 < len(found) < 70
+    assert {int(j): int(i) for i, j in match(some, others)} == found

@@ -1,0 +1,185 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from conformodal.geometry import (
+    PinholeCamera,
+    PoseError,
+    Trajectory,
+    angle_between_quats,
+    associate,
+    fix_sign,
+    matrix_from_quat_wxyz,
+    sign_reference,
+    trajectory_errors,
+)
+from conformodal.geometry.rotations import check_rotation_matrices
+from conformodal.io.pose_files import read_euroc, read_kitti, read_tum, write_tum
+from conformodal.io.pose_text import TrajectoryFileError
+
+
+def random_trajectory(n=20, seed=0):
+    rng = np.random.default_rng(seed)
+    return Trajectory(np.arange(n) / 10, rng.normal(size=(n, 3)), rng.normal(size=(n, 4)))
+
+
+def test_poses_round_trip_through_matrices():
+    t = random_trajectory()
+    back = Trajectory.from_poses_se3(t.timestamps_s, t.poses_se3)
+    np.testing.assert_allclose(back.positions_xyz, t.positions_xyz)
+    np.testing.assert_allclose(angle_between_quats(back.orientations_quat_wxyz, t.orientations_quat_wxyz), 0, atol=1e-7)
+
+
+def test_quaternions_are_wxyz_and_rotate_camera_to_world():
+    turn_left = np.array([[np.cos(0.25 * np.pi), 0, 0, np.sin(0.25 * np.pi)]])  # 90 degrees about z
+    pose = Trajectory(np.zeros(1), np.zeros((1, 3)), turn_left).poses_se3[0]
+    np.testing.assert_allclose(pose[:3, :3] @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+
+
+def test_angles_are_exact_and_blind_to_sign():
+    q = Rotation.from_rotvec([[0.3, 0, 0], [1e-9, 0, 0], [np.pi, 0, 0]]).as_quat(scalar_first=True)
+    angle = angle_between_quats(np.array([1.0, 0, 0, 0]), q)
+    np.testing.assert_allclose(angle, [0.3, 1e-9, np.pi], rtol=1e-6)
+    np.testing.assert_allclose(angle_between_quats(-q, q), 0, atol=1e-12)
+
+
+def test_one_view_has_one_sign_even_after_a_full_turn():
+    yaw = np.linspace(0, 2 * np.pi, 50)
+    along = np.column_stack((np.cos(yaw / 2), np.zeros((50, 2)), np.sin(yaw / 2)))  # the sign flips on the way
+    assert along[0] @ along[-1] < -0.99
+    fixed = fix_sign(along, sign_reference(along))
+    np.testing.assert_allclose(fixed[0], fixed[-1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "match"),
+    [(np.diag([1.0, 1, -1]), "mirror"), (np.eye(3) * 1.1, "not a rotation"), (np.full((3, 3), np.nan), "NaN")],
+)
+def test_matrices_that_are_no_rotations_are_refused(matrix, match):
+    with pytest.raises(PoseError, match=match):
+        check_rotation_matrices(np.stack([np.eye(3), matrix]))
+
+
+def test_errors_of_a_known_offset():
+    truth = random_trajectory()
+    turn = Rotation.from_rotvec([0, 0, np.radians(5)])
+    turned = (turn * Rotation.from_quat(truth.orientations_quat_wxyz, scalar_first=True)).as_quat(scalar_first=True)
+    errors = trajectory_errors(Trajectory(truth.timestamps_s, truth.positions_xyz + np.array([0, 3, 4]), turned), truth)
+    assert errors == pytest.approx({"rmse_m": 5, "rmse_deg": 5, "median_m": 5, "median_deg": 5})
+
+
+def test_association_pairs_nearest_times():
+    truth, estimate = random_trajectory(10), random_trajectory(3)
+    shifted = Trajectory(np.array([0.104, 0.35, 0.897]), estimate.positions_xyz, estimate.orientations_quat_wxyz)
+    mine, theirs = associate(shifted, truth)
+    assert mine.tolist() == [0, 2]
+    assert theirs.tolist() == [1, 9]
+    late = Trajectory(truth.timestamps_s + 100, truth.positions_xyz, truth.orientations_quat_wxyz)
+    with pytest.raises(PoseError, match="no estimated pose"):
+        associate(late, truth)
+
+
+@pytest.mark.parametrize(
+    ("make", "match"),
+    [
+        (lambda: Trajectory(np.zeros(2), np.zeros((3, 3)), np.ones((2, 4))), "positions_xyz"),
+        (lambda: Trajectory(np.zeros(1), np.full((1, 3), np.nan), np.ones((1, 4))), "row 0"),
+        (lambda: Trajectory(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 4))), "length zero"),
+        (lambda: Trajectory([0.0, np.nan], np.zeros((2, 3)), np.ones((2, 4))), "timestamps_s must be finite"),
+        (lambda: Trajectory(np.zeros((2, 1)), np.zeros((2, 3)), np.ones((2, 4))), "timestamps_s must be finite"),
+        (lambda: associate(random_trajectory(3)[:0], random_trajectory(3)), "cannot be paired"),
+        (lambda: associate(random_trajectory(3), random_trajectory(3)[:0]), "cannot be paired"),
+        (lambda: matrix_from_quat_wxyz(np.zeros((2, 4))), "quaternions are not rotations"),
+        (lambda: Trajectory.from_poses_se3(np.zeros(1), np.zeros((1, 3, 4))), r"\(n, 4, 4\)"),
+        (lambda: trajectory_errors(random_trajectory(3), random_trajectory(4)), "pair them"),
+        (lambda: PinholeCamera(-1, 1, 0, 0, 4, 4), "positive"),
+    ],
+)
+def test_bad_input_is_refused(make, match):
+    with pytest.raises(PoseError, match=match):
+        make()
+
+
+def test_bearings_of_the_principal_point_look_forward():
+    camera = PinholeCamera(100, 120, 32, 24, 64, 48)
+    rays = camera.bearings(np.array([[32.0, 24.0], [132.0, 24.0], [32.0, 144.0]]))
+    np.testing.assert_allclose(rays, [[0, 0, 1], [2**-0.5, 0, 2**-0.5], [0, 2**-0.5, 2**-0.5]], atol=1e-12)
+
+
+def some_path(n=6, start_s=0.0):
+    rng = np.random.default_rng(0)
+    times = start_s + np.arange(n) / 10
+    return Trajectory(times, rng.normal(size=(n, 3)) * 100, Rotation.random(n, rng).as_quat(scalar_first=True))
+
+
+def write_kitti(file, path):
+    np.savetxt(file, path.poses_se3[:, :3].reshape(-1, 12))
+
+
+def write_euroc(file, path):
+    rows = zip(path.timestamps_s, path.positions_xyz, path.orientations_quat_wxyz, strict=True)
+    file.write_text("#h\n" + "".join(f"{round(t * 1e9)},{','.join(map(str, (*p, *q)))}\n" for t, p, q in rows))
+
+
+FORMATS = {"tum": (read_tum, write_tum), "kitti": (read_kitti, write_kitti), "euroc": (read_euroc, write_euroc)}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_what_is_written_is_read_back(tmp_path, name):
+    read, write = FORMATS[name]
+    path = some_path(start_s=0.0 if name == "kitti" else 1_403_636_579.7)
+    write(tmp_path / "file", path)
+    back = read(tmp_path / "file")
+    np.testing.assert_allclose(back.positions_xyz, path.positions_xyz, atol=1e-6)
+    np.testing.assert_allclose(np.abs(np.sum(back.orientations_quat_wxyz * path.orientations_quat_wxyz, axis=1)), 1)
+    np.testing.assert_allclose(back.timestamps_s, path.timestamps_s, atol=1e-6)
+
+
+def test_conventions_of_the_files_are_the_published_ones(tmp_path):
+    """A camera at (1, 2, 3) that was turned a quarter about z."""
+    half = np.sqrt(0.5)
+    (tmp_path / "kitti").write_text("0 -1 0 1 1 0 0 2 0 0 1 3\n")
+    (tmp_path / "tum").write_text(f"5 1 2 3 0 0 {half} {half}\n")
+    (tmp_path / "euroc").write_text(f"#timestamp\n5000000000,1,2,3,{half},0,0,{half},9,9,9\n")
+    for name, (read, _) in FORMATS.items():
+        pose = read(tmp_path / name)
+        np.testing.assert_allclose(
+            pose.poses_se3[0], [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]], atol=1e-12
+        )
+        assert pose.timestamps_s[0] == (0 if name == "kitti" else 5)
+
+
+@pytest.mark.parametrize(
+    ("read", "content", "match"),
+    [
+        (read_kitti, "1 0 0 0 0 1 0 0 0 0 1\n", "line 1.*twelve"),
+        (read_kitti, "1 0 0 0 0 1 0 0 0 0 1 x\n", "line 1.*twelve"),
+        (read_kitti, "1 0 0 0 0 1 0 0 0 0 1 nan\n", "line 1.*twelve"),
+        (read_kitti, "\n\n", "holds no pose"),
+        (read_kitti, "2 0 0 0 0 1 0 0 0 0 1 0\n", "not a rotation"),
+        (read_euroc, "#h\n1.5,0,0,0,1,0,0,0\n", "line 2.*ns"),
+        (read_euroc, "1,0,0,0,1,0,0\n", "line 1.*qw"),
+        (read_euroc, "1,0,0,0,inf,0,0,0\n", "line 1.*qw"),
+        (read_euroc, "#h\n", "holds no pose"),
+        (read_euroc, "1,0,0,0,0,0,0,0\n", "file"),
+        *[
+            (read, content, "file")
+            for read in (read_tum, read_kitti, read_euroc)
+            for content in ("", "1 2 3\n", "nan " * 12, "1e400 " * 8, "1_0 " * 8, "\0" * 99)
+        ],
+    ],
+)
+def test_damaged_files_are_named(tmp_path, read, content, match):
+    (tmp_path / "file").write_text(content)
+    with pytest.raises(TrajectoryFileError, match=match):
+        read(tmp_path / "file")
+    with pytest.raises(TrajectoryFileError, match="cannot be read"):
+        read(tmp_path / "missing")
+
+
+@pytest.mark.parametrize("row", ["2 0 0 0 0 0 0 0", "2 nan 0 0 0 0 0 1", "2 1e99 0 0 0 0 0 1", "2 lost"])
+def test_a_tum_row_without_a_pose_is_left_out_with_a_warning(tmp_path, row):
+    (tmp_path / "file").write_text(f"timestamp tx ty tz qx qy qz qw\n1 5 0 0 0 0 0 1\n{row}\n3 6 0 0 0 0 0 1\n")
+    with pytest.warns(UserWarning, match="1 x left out, pose cannot be used: .*file"):
+        found = read_tum(tmp_path / "file")
+    assert found.timestamps_s.tolist() == [1, 3]

@@ -1,0 +1,227 @@
+"""Poses in ROS recordings, against the motion that they were written from."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from conformodal.io import read_recording
+from tests.helpers import refusal, run_ok
+from tests.io.streams.test_streams import camera_info, messages, write_bag
+
+rosbags = pytest.importorskip("rosbags")
+
+TIMES = np.arange(99.9, 102.8, 0.05)
+IMAGE_TIMES = 100 + 0.5 * np.arange(6)
+# of the camera (x right, y down) on a robot (x ahead, z up)
+MOUNT = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0.02], [0, -1, 0, 0.3], [0, 0, 0, 1.0]])
+
+
+def motion(t):
+    """T_world_robot: one metre per second along x, turning left."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[0, 3] = Rotation.from_euler("z", 0.2 * (t - 100)).as_matrix(), t - 100
+    return pose
+
+
+def parts(store, pose, t, frame):
+    types = store.types
+    header, stamp = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
+    extra = {"seq": 0} if "seq" in header.__dataclass_fields__ else {}
+    head = header(stamp=stamp(sec=int(t), nanosec=round((t % 1) * 1e9)), frame_id=frame, **extra)
+    x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
+    turn = types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
+    return head, dict(zip("xyz", pose[:3, 3].tolist(), strict=True)), turn
+
+
+def posed(store, kind, pose, t, child, parent="odom"):
+    types = store.types
+    head, at, turn = parts(store, pose, t, parent)
+    if kind.endswith(("TransformStamped", "TFMessage")):
+        transform = types["geometry_msgs/msg/Transform"](
+            translation=types["geometry_msgs/msg/Vector3"](**at), rotation=turn
+        )
+        one = types["geometry_msgs/msg/TransformStamped"](header=head, child_frame_id=child, transform=transform)
+        return types[kind](transforms=[one]) if kind.endswith("TFMessage") else one
+    pose = types["geometry_msgs/msg/Pose"](position=types["geometry_msgs/msg/Point"](**at), orientation=turn)
+    if kind.endswith("PoseStamped"):
+        return types[kind](header=head, pose=pose)
+    unsure = types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36))
+    if kind.endswith("PoseWithCovarianceStamped"):
+        return types[kind](header=head, pose=unsure)
+    zero = types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
+    twist = types["geometry_msgs/msg/Twist"](linear=zero, angular=zero)
+    still = types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=np.zeros(36))
+    return types[kind](header=head, child_frame_id=child, pose=unsure, twist=still)
+
+
+TF = "tf2_msgs/msg/TFMessage"
+
+
+def write_posed(path, sent, ros1=False):
+    """A bag of six images of the frame ``cam``, and of `sent`: topic, kind, pose of a time, child, parent, times."""
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    writer = Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+    images = messages(store)
+    every = [(99.0, "/cam/camera_info", camera_info(store, images[0][0]))]
+    every += [(t, "/cam/image_raw", its) for t, (_, its) in zip(IMAGE_TIMES, images, strict=True)]
+    for topic, kind, pose_of, child, parent, times in sent:
+        every += [(t, topic, posed(store, kind, pose_of(t), t, child, parent)) for t in times]
+    with writer:
+        to = {}
+        for t, topic, message in sorted(every, key=lambda its: its[0]):
+            kind = message.__msgtype__
+            if topic not in to:
+                to[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(to[topic], round(t * 1e9), serialize(message, kind))
+    return path
+
+
+def converted(path, out, *arguments):
+    result = run_ok("data", "convert", path, "--out", out, *arguments)
+    return read_recording(out), " ".join(result.output.split())
+
+
+def check(sequence, pose_of):
+    np.testing.assert_allclose(sequence.truth.poses_se3, [pose_of(t) for t in IMAGE_TIMES], atol=2e-4)
+    assert (sequence.camera.fx, sequence.camera.fy) == (40, 41)
+
+
+@pytest.mark.parametrize("ros1", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "told"),
+    [
+        ("nav_msgs/msg/Odometry", "of cam in odom"),
+        ("geometry_msgs/msg/TransformStamped", "of cam in odom"),
+        ("geometry_msgs/msg/PoseStamped", "of a frame without a name, taken as the camera in odom"),
+        ("geometry_msgs/msg/PoseWithCovarianceStamped", "taken as the camera in odom"),
+    ],
+)
+def test_poses_of_the_camera_are_interpolated_at_the_images(tmp_path, kind, told, ros1):
+    path = tmp_path / ("a.bag" if ros1 else "a")
+    write_posed(path, [("/pose", kind, motion, "/cam" if ros1 else "cam", "odom", TIMES + 0.013)], ros1)
+    sequence, output = converted(path, tmp_path / "out", "--poses", "/pose")
+    check(sequence, motion)
+    assert told in output
+
+
+STATIC = [
+    ("/tf_static", TF, lambda _: MOUNT, "cam", "base_link", [99.0]),
+    ("/tf_static", TF, lambda _: np.eye(4), "lidar", "base_link", [99.1]),
+]
+
+
+def test_poses_of_the_robot_are_moved_to_its_camera(tmp_path):
+    odometry = ("/odom", "nav_msgs/msg/Odometry", motion, "base_link", "odom", TIMES)
+    path = write_posed(tmp_path / "a", [odometry, *STATIC])
+    sequence, output = converted(path, tmp_path / "out", "--poses", "/odom")
+    check(sequence, lambda t: motion(t) @ MOUNT)
+    assert "/odom: of base_link in odom, moved to cam by /tf_static" in output
+    late, _ = converted(path, tmp_path / "late", "--poses", "/odom", "--time-offset", "0.1")
+    check(late, lambda t: motion(t - 0.1) @ MOUNT)
+
+
+@pytest.mark.parametrize("static", [[], STATIC[1:]])
+def test_poses_of_a_frame_that_nothing_connects_to_the_camera_are_refused(tmp_path, static):
+    odometry = ("/odom", "nav_msgs/msg/Odometry", motion, "base_link", "odom", TIMES)
+    path = write_posed(tmp_path / "a", [odometry, *static])
+    result = refusal("data", "convert", path, "--poses", "/odom", "--out", tmp_path / "out")
+    assert "of base_link in odom, and the images are of 'cam': no static transform connects them" in result
+    assert ("there is no /tf_static" in result) is (not static)
+    assert not (tmp_path / "out").exists()
+
+
+def test_transforms_lead_from_the_world_to_the_camera(tmp_path):
+    def drift(t):
+        pose = np.eye(4)
+        pose[1, 3] = 0.1 * (t - 100)
+        return pose
+
+    slow = ("/tf", TF, drift, "odom", "map", np.arange(99.8, 103, 0.1))
+    fast = ("/tf", TF, motion, "base_link", "odom", TIMES)
+    path = write_posed(tmp_path / "a", [slow, fast, *STATIC])
+    sequence, output = converted(path, tmp_path / "out", "--poses", "/tf")
+    check(sequence, lambda t: drift(t) @ motion(t) @ MOUNT)
+    assert "/tf: of cam in map, through odom, base_link" in output
+    alone = write_posed(tmp_path / "b", [fast])
+    result = refusal("data", "convert", alone, "--poses", "/tf", "--out", tmp_path / "no")
+    assert "leads from odom to base_link, and not to 'cam'" in result
+
+
+def test_a_pose_that_is_not_a_number_is_left_out(tmp_path):
+    def broken(t):
+        return motion(t) if abs(t - 101) > 0.01 else motion(t) * [[1, 1, 1, np.nan]]
+
+    path = write_posed(tmp_path / "a", [("/o", "nav_msgs/msg/Odometry", broken, "cam", "odom", TIMES)])
+    sequence, output = converted(path, tmp_path / "out", "--poses", "/o")
+    check(sequence, motion)
+    assert "left out, pose cannot be used: " in output
+    assert "1 pose" in output
+
+
+def beside(t):
+    return np.array([[1, 0, 0, 0], [0, 1, 0, 9], [0, 0, 1, 0], [0, 0, 0, 1.0]]) @ motion(t)
+
+
+def test_poses_that_are_sent_twice_are_used_once_and_those_of_two_nodes_not(tmp_path):
+    odometry = ("/o", "nav_msgs/msg/Odometry", motion, "cam", "odom", TIMES)
+    sequence, output = converted(write_posed(tmp_path / "a", [odometry] * 2), tmp_path / "same", "--poses", "/o")
+    check(sequence, motion)
+    assert "several poses at one time" not in output
+    some = (*odometry[:2], beside, "cam", "odom", TIMES[::10])
+    sequence, output = converted(write_posed(tmp_path / "b", [odometry, some]), tmp_path / "some", "--poses", "/o")
+    check(sequence, motion)
+    assert "left out, several poses at one time: " in output
+    assert "of cam in odom: 12 of 64 poses have the time of another; do two nodes send them?" in output
+    both = write_posed(tmp_path / "c", [odometry, (*odometry[:2], beside, "cam", "odom", TIMES)])
+    result = refusal("data", "convert", both, "--poses", "/o", "--out", tmp_path / "both")
+    assert "of cam in odom: 116 of 116 poses have the time of another; do two nodes send them?" in result
+
+
+@pytest.mark.parametrize("topic", ["/o", "/tf"])
+def test_of_two_parents_the_one_of_most_poses_is_used(tmp_path, topic):
+    kind = TF if topic == "/tf" else "nav_msgs/msg/Odometry"
+    few = (topic, kind, beside, "cam", "map", [99.8, 100.01])
+    path = write_posed(tmp_path / "a", [few, (topic, kind, motion, "cam", "odom", TIMES)])
+    sequence, output = converted(path, tmp_path / "out", "--poses", topic)
+    check(sequence, motion)
+    assert "left out, of another parent: " in output
+    assert "2 poses of cam in map, not odom" in output
+
+
+def test_transforms_that_are_sent_seldom_say_what_they_cost(tmp_path):
+    seldom = ("/tf", TF, lambda _: np.eye(4), "odom", "map", [100.0, 101.0, 102.5])
+    path = write_posed(tmp_path / "a", [seldom, ("/tf", TF, motion, "cam", "odom", TIMES)])
+    result = run_ok("data", "convert", path, "--poses", "/tf", "--out", tmp_path / "out")
+    output = " ".join(result.output.split())
+    assert "left out, transforms are apart: " in output
+    assert "55 of 58 poses: cam and odom are not sent within 0.15 s (max_gap_s) of each other" in output
+    sequence, output = converted(path, tmp_path / "more", "--poses", "/tf", "--max-gap", "2")
+    check(sequence, motion)
+
+
+def test_transforms_in_a_circle_are_refused(tmp_path):
+    sent = [("/tf", TF, motion, *frames, TIMES) for frames in (("cam", "odom"), ("odom", "cam"))]
+    path = write_posed(tmp_path / "a", sent)
+    result = refusal("data", "convert", path, "--poses", "/tf", "--out", tmp_path / "out")
+    assert "/tf: leads from cam to odom to cam, in a circle" in result
+
+
+def test_a_topic_without_poses_is_named(tmp_path):
+    path = write_posed(tmp_path / "a", [("/o", "nav_msgs/msg/Odometry", motion, "cam", "odom", TIMES), *STATIC])
+    result = refusal("data", "convert", path, "--poses", "/imu", "--out", tmp_path / "out")
+    assert result.endswith("holds no poses on /imu, which is no file either; there are /o")
+    result = refusal("data", "convert", path, "--poses", tmp_path / "poses.tum", "--out", tmp_path / "out")
+    assert result.endswith(f"poses.tum: no such file of poses; {path} has poses on /o")
+
+
+@pytest.mark.parametrize("kind", ["mcap", "ros1"])
+def test_training_on_a_recording_names_what_makes_a_data_set_of_it(tmp_path, kind):
+    path = write_bag(tmp_path / ("a.bag" if kind == "ros1" else "a"), kind)
+    result = refusal("train", path, "--out", tmp_path / "model")
+    assert f"conformodal data convert {path} --poses POSES --out FOLDER" in result

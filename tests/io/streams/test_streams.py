@@ -1,0 +1,880 @@
+import struct
+import threading
+import time
+from copy import copy
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from conformodal.geometry import PinholeCamera
+from conformodal.io import DatasetError, DatasetWarning, read_recording
+from conformodal.io.streams.bag import BagStream
+from conformodal.io.streams.frames import Frame, SourceError
+from conformodal.io.streams.opening import open_stream
+from conformodal.io.streams.prefetch import Pace, prefetch
+from conformodal.io.streams.ros_messages import COMPRESSED, RAW, camera_of_info, image_of, is_swapped, white_of
+from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.video import CameraStream, VideoStream
+from tests.helpers import run_ok
+
+SIZE = (64, 48)
+
+
+def video(path, n=12, fps=10, size=SIZE):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), fps, size)
+    for i in range(n):
+        image = np.zeros((size[1], size[0], 3), np.uint8)
+        image[:, :, 2] = 20 * i % 256  # red, in OpenCV's order
+        writer.write(image)
+    writer.release()
+    return path
+
+
+def test_a_video_gives_its_frames_in_rgb_with_their_times(tmp_path):
+    stream = open_stream(video(tmp_path / "v.avi"))
+    assert isinstance(stream, VideoStream)
+    assert stream.n_frames == 12
+    frames = list(stream)
+    np.testing.assert_allclose([f.timestamp_s for f in frames], 0.1 * np.arange(12), atol=1e-6)
+    assert [round(f.image[..., 0].mean() / 20) for f in frames] == list(range(12))
+    assert max(f.image[..., 2].mean() for f in frames) < 12
+    assert frames[3].name == "v-000003"
+
+
+def test_a_truncated_video_gives_what_is_there_and_says_so(tmp_path):
+    path = video(tmp_path / "v.avi", n=60, size=(320, 240))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    frames, stream = [], iter(VideoStream(path))
+    with pytest.raises(SourceError, match=r"v\.avi: ends after \d+ of"):
+        frames += stream
+    # the list is extended frame by frame before the error
+    assert 10 < len(frames) < 45
+
+
+def mp4(path, n=30, codec="mp4v"):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 10, SIZE)
+    for i in range(n):
+        writer.write(np.full((SIZE[1], SIZE[0], 3), 8 * i, np.uint8))
+    writer.release()
+    return bytearray(path.read_bytes())
+
+
+def test_a_trimmed_video_ends_where_its_edit_list_ends(tmp_path):
+    path = tmp_path / "v.mp4"
+    content = mp4(path)
+    at = content.find(b"elst") + 12
+    content[at : at + 4] = (500).to_bytes(4)  # milliseconds of three seconds
+    path.write_bytes(content)
+    frames = list(open_stream(path))
+    assert 5 <= len(frames) <= 6
+    assert [round(f.image.mean() / 8) for f in frames] == list(range(len(frames)))
+    # the same without the end of the file
+    whole = bytes(mp4(path))
+    moov = whole.find(b"moov") - 4
+    path.write_bytes(whole[:moov] + whole[moov:-300])
+    with pytest.raises(SourceError):
+        list(open_stream(path))
+
+
+def test_a_matroska_file_that_counts_longer_sound_is_whole(tmp_path):
+    path = tmp_path / "v.mkv"
+    content = mp4(path)
+    at = content.find(b"\x44\x89\x88") + 3
+    content[at : at + 8] = struct.pack(">d", 3 * struct.unpack(">d", content[at : at + 8])[0])
+    path.write_bytes(content)
+    stream = open_stream(path)
+    assert stream.n_frames == 90
+    with pytest.warns(DatasetWarning, match=r"v\.mkv: ends after 30 of 90 frames: its sound is longer, or the file is"):
+        assert [round(f.image.mean() / 8) for f in stream] == list(range(30))
+    path.write_bytes(content[: len(content) * 2 // 3])
+    with pytest.raises(SourceError, match=r"v\.mkv: ends after \d+ of 90"):
+        list(open_stream(path))
+
+
+@pytest.mark.parametrize(("name", "before"), [("v.ts", b""), ("v.m2ts", b"\0\0\0\0")])  # times go before packets
+def test_a_transport_stream_with_a_gap_is_read_to_its_end(name, before, tmp_path):
+    content = mp4(tmp_path / "v.ts", codec="MPEG")
+    packets = [before + content[k : k + 188] for k in range(0, len(content), 188)]
+    path = tmp_path / name
+    path.write_bytes(b"".join(packets[:12] + packets[-12:]))
+    with pytest.warns(DatasetWarning, match=rf"{name}: ends after \d+ of \d+ frames"):
+        frames = list(open_stream(path))
+    assert open_stream(path).n_frames > len(frames) + 5
+    assert frames[-1].timestamp_s == pytest.approx(2.9, abs=0.11)
+
+
+@pytest.mark.parametrize("name", ["12:30:00.mp4", "fast 50% %03d.mp4"])
+def test_a_video_may_have_any_name(tmp_path, monkeypatch, name):
+    mp4(tmp_path / "v.mp4")
+    (tmp_path / "v.mp4").rename(tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    assert len(list(open_stream(name))) == 30
+
+
+def test_the_rate_of_pictures_without_a_container_is_told(tmp_path):
+    path = tmp_path / "v.mjpeg"
+    path.write_bytes(b"".join(cv2.imencode(".jpg", np.full((48, 64, 3), 8 * i, np.uint8))[1] for i in range(30)))
+    stream = open_stream(path)
+    assert next(where for what, where in stream.notes if what == "no times").startswith(f"{path}: 25 frames per second")
+    np.testing.assert_allclose([f.timestamp_s for f in stream], np.arange(30) / 25, atol=1e-6)
+
+
+def test_pixels_that_are_not_square_are_told(tmp_path):
+    path = tmp_path / "v.mp4"
+    content = mp4(path)
+    box = (16).to_bytes(4) + b"pasp" + (4).to_bytes(4) + (3).to_bytes(4)
+    entry = content.rfind(b"mp4v") - 4  # the first names the file's kind
+    end = entry + int.from_bytes(content[entry : entry + 4])
+    content[end:end] = box
+    sizes = [content.find(name) - 4 for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd")]
+    for k in (*sizes, entry):
+        content[k : k + 4] = (int.from_bytes(content[k : k + 4]) + len(box)).to_bytes(4)
+    path.write_bytes(content)
+    assert "4:3; intrinsics must be those of the pixels" in dict(open_stream(path).notes)["pixels are not square"]
+
+
+@pytest.mark.parametrize(
+    "head", [b"ffconcat version 1.0\nfile 'v.mp4'\n", b"v=0\nm=video 5004 RTP/AVP 96\n", b"v=0\xff\xfe\0\1"]
+)
+def test_a_list_of_other_files_is_no_video(tmp_path, head):
+    mp4(tmp_path / "v.mp4")
+    (tmp_path / "list").write_bytes(head)
+    with pytest.raises(SourceError, match="list: is a list of other files"):
+        open_stream(tmp_path / "list")
+
+
+def test_a_damaged_header_at_the_end_of_a_video_is_passed_over(tmp_path):
+    path = tmp_path / "v.mp4"
+    path.write_bytes(mp4(path) + (16).to_bytes(4) + b"moov" + (8).to_bytes(4) + b"mvhd")
+    assert len(list(open_stream(path))) == 30
+
+
+def test_an_animation_that_cannot_be_decoded_is_no_video(tmp_path):
+    frames = [Image.new("RGB", SIZE, (20 * i, 0, 0)) for i in range(3)]
+    frames[0].save(tmp_path / "v.webp", save_all=True, append_images=frames[1:])
+    with pytest.raises(SourceError, match=r"v\.webp: holds no frame that can be decoded"):
+        list(open_stream(tmp_path / "v.webp"))
+
+
+def timed(path, runs, length_ms):
+    """An MP4 file of runs of frames, each with the number of frames and the steps of 0.1 s between them."""
+    content = mp4(path)
+    at = content.find(b"stts") - 4
+    step = int.from_bytes(content[at + 20 : at + 24])
+    entries = [len(runs), *(int(v) for count, steps in runs for v in (count, steps * step))]
+    box = b"stts" + bytes(4) + b"".join(v.to_bytes(4) for v in entries)
+    for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl"):
+        k = content.find(name) - 4
+        content[k : k + 4] = (int.from_bytes(content[k : k + 4]) + len(box) - 20).to_bytes(4)
+    content[at : at + 24] = (len(box) + 4).to_bytes(4) + box
+    k = content.find(b"elst") + 12
+    content[k : k + 4] = length_ms.to_bytes(4)
+    path.write_bytes(content)
+
+
+def test_a_frame_with_the_time_of_the_one_before_follows_it(tmp_path):
+    path = tmp_path / "v.mp4"
+    # after two seconds, two frames at once
+    timed(path, [(10, 1), (1, 20), (1, 0), (1, 1), (17, 1)], length_ms=9000)
+    times = [f.timestamp_s for f in open_stream(path)]
+    assert len(times) == 30
+    assert (np.diff(times) > 0).all()
+    assert times[11] == pytest.approx(3.0, abs=2e-3)
+
+
+def test_images_of_another_size_without_a_camera_are_refused_at_opening(tmp_path):
+    camera = PinholeCamera(40, 40, 32, 24, 64, 48)
+    assert open_stream(video(tmp_path / "v.avi"), camera=camera).camera == camera
+    path = video(tmp_path / "w.avi", size=(128, 96))
+    with pytest.raises(SourceError, match=r"w\.avi: has images of 128x96 pixels .* 64x48\. Give its camera"):
+        open_stream(path, camera=camera)
+    bag = write_bag(tmp_path / "a", "mcap", with_info=False)
+    with pytest.raises(SourceError, match=r"64x48 pixels and no calibration"):
+        open_stream(bag, camera=PinholeCamera(40, 40, 64, 48, 128, 96))
+
+
+def test_frames_of_a_variable_rate_have_their_own_times(tmp_path):
+    path = tmp_path / "v.mp4"
+    timed(path, [(10, 1), (10, 2), (10, 0.5)], length_ms=3500)  # ten frames each of 0.1, 0.2 and 0.05 s
+    frames = list(open_stream(path))
+    times = np.cumsum(np.repeat([0.1, 0.2, 0.05], 10))
+    np.testing.assert_allclose([f.timestamp_s for f in frames], [0, *times[:-1]], atol=2e-3)
+    assert [round(f.image.mean() / 8) for f in frames] == list(range(30))
+
+
+def shown_by(path, *matrix, header=b"tkhd", at=44):
+    """An MP4 file with the a b c d of a display matrix."""
+    content, (a, b, c, d) = mp4(path), (round(65536 * v) for v in matrix)
+    at += content.find(header)
+    values = [a, b, 0, c, d, 0, 0, 0, 1 << 30]
+    content[at : at + 36] = b"".join(v.to_bytes(4, signed=True) for v in values)
+    path.write_bytes(content)
+    return path
+
+
+def test_a_video_that_is_turned_says_so(tmp_path):
+    path = shown_by(tmp_path / "v.mp4", 0, 1, -1, 0)  # by a quarter to the right
+    stream = open_stream(path)
+    assert next(iter(stream)).image.shape == (SIZE[0], SIZE[1], 3)
+    assert any("by 90 degrees" in where for _, where in stream.notes)
+    path.write_bytes(mp4(path))
+    assert open_stream(path).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("matrix", "how"),
+    [((-1, 0, 0, 1), "mirrored"), ((0, 1, 1, 0), "mirrored"), ((0.707, 0.707, -0.707, 0.707), "turned by 45 degrees")],
+)
+def test_a_video_that_is_shown_mirrored_or_aslant_is_refused(tmp_path, matrix, how):
+    with pytest.raises(SourceError, match=rf"v\.mp4: its metadata says that pictures are shown {how}, and only"):
+        open_stream(shown_by(tmp_path / "v.mp4", *matrix))
+
+
+def test_a_whole_movie_may_be_shown_mirrored(tmp_path):
+    with pytest.raises(SourceError, match="mirrored"):
+        open_stream(shown_by(tmp_path / "v.mp4", 1, 0, 0, -1, header=b"mvhd", at=40))
+
+
+def test_what_is_no_video_is_named(tmp_path):
+    (tmp_path / "v.avi").write_bytes(b"nothing")
+    with pytest.raises(SourceError, match=r"v\.avi: cannot be opened"):
+        open_stream(tmp_path / "v.avi")
+    with pytest.raises(SourceError, match="no such video"):
+        VideoStream(tmp_path / "absent.avi")
+
+
+class FakeCapture:
+    """A camera that is unplugged after three frames."""
+
+    def __init__(self, _):
+        self.left, self.released = 3, False
+
+    def isOpened(self):
+        return True
+
+    def set(self, *_):
+        return True
+
+    def read(self):
+        self.left -= 1
+        return (True, np.zeros((48, 64, 3), np.uint8)) if self.left >= 0 else (False, None)
+
+    def release(self):
+        self.released = True
+
+
+def test_a_camera_that_vanishes_is_named_and_what_it_gave_is_kept(monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", FakeCapture)
+    stream = open_stream("camera:2")
+    assert isinstance(stream, CameraStream)
+    assert stream.live
+    assert stream.n_frames is None
+    frames = []
+    with pytest.raises(SourceError, match="camera 2: gives no more frames after 3"):
+        frames += stream
+    assert len(frames) == 3
+
+
+def test_a_camera_that_is_not_there_is_named():
+    with pytest.raises(SourceError, match="camera 97: cannot be opened"):
+        list(CameraStream(97))
+
+
+# ROS recordings, written by rosbags' own writers
+
+rosbags = pytest.importorskip("rosbags")
+
+
+def messages(store, *, encoding="bgr8", header_times=None, compressed=False):
+    """Six images with blue rising, half a second apart, and one CameraInfo."""
+    types = store.types
+    header, stamp = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
+    times = 100 + 0.5 * np.arange(6) if header_times is None else header_times
+    found = []
+    for i, t in enumerate(times):
+        extra = {"seq": i} if "seq" in header.__dataclass_fields__ else {}
+        head = header(stamp=stamp(sec=int(t), nanosec=round((t % 1) * 1e9)), frame_id="cam", **extra)
+        channels = {"mono8": 1}.get(encoding, 3)
+        image = np.zeros((48, 64, channels), np.uint8)
+        image[..., 0] = 40 * i
+        if compressed:
+            data = cv2.imencode(".png", image)[1].ravel()
+            found.append((head, types["sensor_msgs/msg/CompressedImage"](header=head, format="png", data=data)))
+        else:
+            padded = np.zeros((48, 64 * channels + 8), np.uint8)  # rows may be padded
+            padded[:, : 64 * channels] = image.reshape(48, -1)
+            kind = types["sensor_msgs/msg/Image"]
+            step = padded.shape[1]
+            data = padded.ravel()
+            found.append(
+                (head, kind(header=head, height=48, width=64, encoding=encoding, is_bigendian=0, step=step, data=data))
+            )
+    return found
+
+
+def camera_info(store, head):
+    kind = store.types["sensor_msgs/msg/CameraInfo"]
+    roi = store.types["sensor_msgs/msg/RegionOfInterest"](x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+    values = {"d": np.array([-0.1, 0.02, 0.001, 0.002, 0.0]), "k": np.array([40.0, 0, 32, 0, 41, 24, 0, 0, 1])}
+    values |= {"r": np.eye(3).ravel(), "p": np.zeros(12)}
+    names = kind.__dataclass_fields__
+    values = {k if k in names else k.upper(): v for k, v in values.items()}
+    common = {"header": head, "height": 48, "width": 64, "distortion_model": "plumb_bob"}
+    return kind(**common, **values, binning_x=0, binning_y=0, roi=roi)
+
+
+def write_bag(path, kind, *, topic="/cam/image_raw", image_options=None, with_info=True, others=(), packed=None):
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
+    if kind == "ros1":
+        writer, serialize = Writer1(path), store.serialize_ros1
+    else:
+        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+        writer, serialize = Writer2(path, version=9, storage_plugin=plugin), store.serialize_cdr
+    if packed:
+        writer.set_compression(*packed)
+    images = messages(store, **(image_options or {})) if topic else []
+    with writer:
+        for name, message_type in others:
+            writer.add_connection(name, message_type, typestore=store)
+        if not images:
+            return path
+        info = writer.add_connection("/cam/camera_info", "sensor_msgs/msg/CameraInfo", typestore=store)
+        message_type = images[0][1].__msgtype__
+        connection = writer.add_connection(topic, message_type, typestore=store)
+        if with_info:
+            writer.write(info, int(99e9), serialize(camera_info(store, images[0][0]), "sensor_msgs/msg/CameraInfo"))
+        for i, (_, message) in enumerate(images):
+            writer.write(connection, int((100 + i) * 1e9), serialize(message, message_type))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite", "mcap"])
+def test_ros_recordings_of_every_kind(tmp_path, kind):
+    path = write_bag(tmp_path / ("a.bag" if kind == "ros1" else "a"), kind)
+    stream = open_stream(path)
+    assert isinstance(stream, BagStream)
+    assert stream.n_frames == 6
+    assert (stream.camera.fx, stream.camera.fy, stream.camera.width) == (40, 41, 64)
+    assert stream.camera.distortion == (-0.1, 0.02, 0.001, 0.002, 0.0)
+    frames = list(stream)
+    np.testing.assert_allclose([f.timestamp_s for f in frames], 100 + 0.5 * np.arange(6), atol=1e-9)
+    assert [int(f.image[0, 0, 2]) for f in frames] == [40 * i for i in range(6)]  # blue comes last in RGB
+    if kind == "mcap":
+        (file,) = path.glob("*.mcap")
+        alone = file.rename(tmp_path / "alone.mcap")  # a file by itself, without ROS's metadata
+        assert open_stream(alone).n_frames == 6
+        assert len(list(open_stream(alone))) == 6
+
+
+@pytest.mark.parametrize(
+    ("options", "channel"),
+    [({"encoding": "rgb8"}, 0), ({"encoding": "mono8"}, 1), ({"compressed": True}, 2), ({"encoding": "bgr8"}, 2)],
+)
+def test_encodings(tmp_path, options, channel):
+    frames = list(BagStream(write_bag(tmp_path / "a", "sqlite", image_options=options)))
+    assert [int(f.image[5, 5, channel]) for f in frames] == [40 * i for i in range(6)]
+
+
+def message(image, encoding, *, big=0, pad=6):
+    """A raw image message of an array (rows, width, n), with padded rows."""
+    rows = image.reshape(len(image), -1).view(np.uint8)
+    data = np.pad(rows, ((0, 0), (0, pad)))
+    height = len(image) * 2 // 3 if encoding.startswith("nv") else len(image)
+    size = {"height": height, "width": image.shape[1], "step": data.shape[1], "is_bigendian": big}
+    return SimpleNamespace(encoding=encoding, data=data.ravel(), **size)
+
+
+RED = np.full((8, 12, 3), (200, 60, 30), np.uint8)
+
+
+def in_encoding(rgb, encoding):
+    """A picture of one colour as a camera sends it, by the formats' definitions."""
+    (r, g, b), (h, w) = rgb[0, 0].tolist(), rgb.shape[:2]
+    if encoding.startswith("bayer"):
+        tile = np.array([{"r": r, "g": g, "b": b}[c] for c in encoding.split("_")[1][:4]], np.uint16).reshape(2, 2)
+        tiled = np.tile(tile, (h // 2, w // 2))[..., None]
+        return (tiled * 257) if encoding.endswith("16") else tiled.astype(np.uint8)
+    if encoding.endswith("16"):
+        return rgb.astype(np.uint16)[:, :, :: -1 if encoding.startswith("b") else 1] * 257
+    y, u, v = 16 + (66 * r + 129 * g + 25 * b) / 256, 128 + (-38 * r - 74 * g + 112 * b) / 256, 0
+    v = 128 + (112 * r - 94 * g - 18 * b) / 256
+    y, u, v = round(y), round(u), round(v)
+    if encoding.startswith("nv"):
+        chroma = (u, v) if encoding == "nv12" else (v, u)
+        return np.concatenate((np.full((h, w), y), np.tile(chroma, (h // 2, w // 2)))).astype(np.uint8)[..., None]
+    pair = (u, y, v, y) if encoding in ("yuv422", "uyvy") else (y, u, y, v)
+    return np.tile(pair, (h, w // 2)).reshape(h, w, 2).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    "encoding",
+    ["rgb16", "bgr16", "yuv422", "uyvy", "yuv422_yuy2", "yuyv", "nv12", "nv21"]
+    + [f"bayer_{order}{bits}" for order in ("rggb", "bggr", "gbrg", "grbg") for bits in (8, 16)],
+)
+def test_a_colour_is_the_same_in_every_encoding(encoding):
+    found = image_of(message(in_encoding(RED, encoding), encoding), RAW, 65535)
+    assert found.shape == RED.shape
+    np.testing.assert_allclose(found[2:-2, 2:-2].astype(int), RED[2:-2, 2:-2].astype(int), atol=3)
+
+
+@pytest.mark.parametrize("step", [0, 12])
+def test_rows_without_padding_need_no_length(step):
+    sent = message(RED, "rgb8", pad=0)
+    sent.step = step
+    np.testing.assert_array_equal(image_of(sent, RAW), RED)
+
+
+@pytest.mark.parametrize(("encoding", "width", "height"), [("nv12", 12, 7), ("nv21", 11, 8), ("yuyv", 11, 8)])
+def test_odd_sides_of_encodings_that_share_colours_cost_the_frame(encoding, width, height):
+    values = 2 if encoding == "yuyv" else 1
+    rows = height if values == 2 else height * 3 // 2
+    sent = message(np.zeros((rows, width, values), np.uint8), encoding)
+    sent.height = height
+    with pytest.raises(ValueError, match=f"{width}x{height} pixels cannot be {encoding}"):
+        image_of(sent, RAW)
+
+
+@pytest.mark.parametrize("big", [0, 1])
+@pytest.mark.parametrize(("white", "bits"), [(1023, 10), (4095, 12), (16383, 14), (65535, 16)])
+def test_grey_of_16_bits_is_scaled_by_the_bits_it_uses(big, white, bits):
+    ramp = np.linspace(0, white, 48).astype(">u2" if big else "<u2").reshape(6, 8, 1)
+    found = image_of(message(ramp, "mono16", big=big), RAW)
+    np.testing.assert_allclose(found[..., 0].ravel(), np.linspace(0, 255, 48), atol=1)
+
+
+def test_an_encoding_that_is_not_known_is_refused_at_opening_with_those_that_are(tmp_path):
+    path = write_bag(tmp_path / "a", "sqlite", image_options={"encoding": "jpeg2000"})
+    with pytest.raises(
+        SourceError, match=r"/cam/image_raw: encoding jpeg2000 is none of rgb8.*mono16.*bayer_rggb8.*nv12"
+    ):
+        BagStream(path)
+
+
+K_INFO = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
+P_INFO = np.array([70.0, 0, 60, 5, 0, 71, 44, 0, 0, 0, 1, 0])
+
+
+def info(*, roi=(0, 0, 0, 0), binning=(0, 0), model="plumb_bob", d=(-0.1, 0.02, 0.001, 0.002, 0.0), k=K_INFO, p=P_INFO):
+    x, y, width, height = roi
+    window = SimpleNamespace(x_offset=x, y_offset=y, width=width, height=height, do_rectify=False)
+    head = {"width": 128, "height": 96, "binning_x": binning[0], "binning_y": binning[1], "roi": window}
+    return SimpleNamespace(k=k, p=p, d=np.array(d), distortion_model=model, **head)
+
+
+@pytest.mark.parametrize(
+    ("topic", "given", "expected"),
+    [
+        ("/cam/image_raw", {}, (80, 82, 64, 48, 128, 96)),
+        ("/cam/image_rect", {}, (70, 71, 60, 44, 128, 96)),
+        ("/cam/image_rect_color/compressed", {}, (70, 71, 60, 44, 128, 96)),
+        ("/cam/image_rect", {"k": np.zeros(9)}, (70, 71, 60, 44, 128, 96)),
+        (
+            "/cam/image_rect",
+            {"p": np.zeros(12), "d": np.zeros(4), "model": "equidistant"},
+            (80, 82, 64, 48, 128, 96),
+        ),
+        ("/cam/image_raw", {"binning": (2, 2)}, (40, 41, 32, 24, 64, 48)),
+        ("/cam/image_raw", {"roi": (32, 24, 64, 48)}, (80, 82, 32, 24, 64, 48)),
+        ("/cam/image_raw", {"roi": (32, 16, 64, 64), "binning": (2, 4)}, (40, 20.5, 16, 8, 32, 16)),
+        ("/cam/image_rect", {"roi": (20, 4, 80, 80), "binning": (2, 2)}, (35, 35.5, 20, 20, 40, 40)),
+    ],
+)
+def test_the_matrix_window_and_binning_of_a_camera_info_are_used(topic, given, expected):
+    notes = []
+    camera = camera_of_info(info(**given), "info", topic, notes=notes)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height) == expected
+    rectified = "rect" in topic
+    assert camera.distortion == (() if rectified else (-0.1, 0.02, 0.001, 0.002, 0.0))
+    by_p = rectified and "p" not in given
+    assert any(("P, for rectified" if by_p else "K and D") in where for _, where in notes)
+
+
+@pytest.mark.parametrize(("model", "d"), [("plumb_bob", ()), ("", ()), ("equidistant", np.zeros(4))])
+def test_p_is_the_camera_where_k_and_d_are_zero(model, d):
+    notes = []
+    camera = camera_of_info(info(k=np.zeros(9), d=d, model=model), "info", "/cam/image", notes=notes)
+    assert camera == PinholeCamera(70, 71, 60, 44, 128, 96)
+    assert ("camera of CameraInfo", "info: P, as K and D are zero, without distortion") in notes
+
+
+@pytest.mark.parametrize("model", ["Plumb_Bob", "PLUMB_BOB ", "Brown Conrady"])
+def test_the_usual_lens_has_several_names(model):
+    assert camera_of_info(info(model=model), "info").distortion == (-0.1, 0.02, 0.001, 0.002, 0.0)
+    with pytest.raises(SourceError, match="inverse_brown_conrady"):
+        camera_of_info(info(model="Inverse Brown Conrady"), "info")
+
+
+def test_a_camera_info_without_a_size_is_of_the_images():
+    message = info()
+    message.width = message.height = 0
+    camera = camera_of_info(message, "info", size=(120, 90))
+    assert (camera.fx, camera.cx, camera.width) == (80, 64, 120)
+    with pytest.raises(SourceError, match="0x0"):
+        camera_of_info(message, "info")
+
+
+def test_a_rational_lens_without_its_denominator_is_a_plumb_bob():
+    lens = (-0.1, 0.02, 0.001, 0.002, 0.003)
+    assert camera_of_info(info(model="rational_polynomial", d=(*lens, 0, 0, 0)), "info").distortion == lens
+    with pytest.raises(SourceError, match="undistort"):
+        camera_of_info(info(model="rational_polynomial", d=(*lens, 0.1, 0, 0)), "info")
+
+
+def test_images_smaller_than_their_camera_info_scale_it(tmp_path, monkeypatch):
+    made = camera_info
+
+    def larger(store, head):
+        message = made(store, head)
+        object.__setattr__(message, "width", 128)
+        object.__setattr__(message, "height", 96)
+        return message
+
+    monkeypatch.setitem(globals(), "camera_info", larger)
+    stream = open_stream(write_bag(tmp_path / "a", "sqlite"), camera=PinholeCamera(50, 50, 32, 24, 64, 48))
+    # the recording's own camera, not the one for recordings without
+    assert (stream.camera.fx, stream.camera.cx, stream.camera.width) == (20, 16, 64)
+    assert any("scaled" in what for what, _ in stream.notes)
+
+
+def ramp(width, height, scale):
+    y, x = np.mgrid[:height, :width] * scale
+    return np.dstack((4 * x, 5 * y, 0 * x)).astype(np.uint8)
+
+
+def write_ramps(path, changes, others=()):
+    """A bag of one ramp per change of the CameraInfo that comes before it, and of other cameras, twice as sharp."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = {"/cam/camera_info": "sensor_msgs/msg/CameraInfo", "/cam/image_raw": "sensor_msgs/msg/Image"}
+    kinds |= dict.fromkeys(others, kinds["/cam/camera_info"])
+    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        to = {name: writer.add_connection(name, kind, typestore=store) for name, kind in kinds.items()}
+        for i, (change, scale) in enumerate(changes):
+            (head, _), *_ = messages(store, header_times=[change.get("stamp_s", 100.0 + i)])
+            made = camera_info(store, head)
+            for name, value in {
+                "d": np.zeros(5),
+                "width": round(64 / scale),
+                "height": round(48 / scale),
+                **change,
+            }.items():
+                object.__setattr__(made, name, value)
+            pixels = ramp(made.width, made.height, scale)[..., ::-1]
+            size = {"height": made.height, "width": made.width, "step": 3 * made.width}
+            image = store.types[kinds["/cam/image_raw"]](
+                header=head, encoding="bgr8", is_bigendian=0, data=pixels.ravel()[change.get("lost", 0) :], **size
+            )
+            other = copy(made)
+            object.__setattr__(other, "k", 2 * made.k)
+            sent = [*[(name, other) for name in others], ("/cam/camera_info", made), ("/cam/image_raw", image)]
+            for k, (name, message) in enumerate(sent):
+                writer.write(to[name], int((100 + i) * 1e9) + k, store.serialize_cdr(message, kinds[name]))
+    return path
+
+
+@pytest.mark.parametrize("first", [1, 3])
+def test_a_camera_info_of_zeros_is_none(tmp_path, first):
+    """As drivers without a calibration send it, always or at first."""
+    zeros = {"k": np.zeros(9), "p": np.zeros(12)}
+    path = write_ramps(tmp_path / "a", [(zeros, 1)] * first + [({}, 1)] * (3 - first))
+    camera = PinholeCamera(50, 50, 32, 24, 64, 48)
+    stream = open_stream(path, camera=camera)
+    assert stream.camera == (camera if first == 3 else PinholeCamera(40, 41, 32, 24, 64, 48))
+    told = dict(stream.notes).get("no CameraInfo", "")
+    assert ("; /cam/camera_info has zeros; in other name spaces: none" in told) is (first == 3)
+    for frame in stream:
+        np.testing.assert_array_equal(frame.image, ramp(64, 48, 1))
+
+
+def test_images_of_a_camera_info_that_changes_are_brought_to_the_first(tmp_path):
+    twice = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
+    zeros = {"k": np.zeros(9)}
+    changes = [({}, 1), ({"k": twice}, 0.5), *[(zeros, 1)] * 3, ({}, 1)]
+    frames = list(BagStream(write_ramps(tmp_path / "a", changes)))
+    for frame in (frames[0], frames[1], frames[5]):
+        np.testing.assert_allclose(frame.image[2:-2, 2:-2].astype(int), ramp(64, 48, 1)[2:-2, 2:-2], atol=4)
+    for frame in frames[2:5]:  # none is taken for one of the camera before
+        assert frame.image is None
+        assert "not calibrated" in frame.problem
+
+
+@pytest.mark.parametrize("fault", [{"lost": 9}, {"stamp_s": 1e9}])
+def test_a_camera_info_that_changes_at_a_frame_without_an_image_holds_for_those_after(tmp_path, fault):
+    half = {"k": np.array([20.0, 0, 32, 0, 20.5, 24, 0, 0, 1])}
+    frames = list(BagStream(write_ramps(tmp_path / "a", [({}, 1), ({**half, **fault}, 1), (half, 1), (half, 1)])))
+    assert frames[1].image is None
+    x, y = np.meshgrid(32 + (np.arange(64) - 32) / 2, 24 + (np.arange(48) - 24) / 2)
+    for frame in frames[2:]:
+        np.testing.assert_allclose(frame.image[..., :2], np.dstack((4 * x, 5 * y)), atol=4)
+
+
+def test_of_several_cameras_in_one_name_space_the_one_of_the_images_is_used(tmp_path):
+    stream = BagStream(write_ramps(tmp_path / "a", [({}, 1)] * 3, ["/cam/a_info", "/cam/z_camera_info"]))
+    assert (stream.camera.fx, stream.infos) == (40, ("/cam/camera_info",))
+    for frame in stream:
+        np.testing.assert_array_equal(frame.image, ramp(64, 48, 1))
+
+
+@pytest.mark.parametrize(("model", "lens"), [("equidistant", (0.05, -0.01, 0.0, 0.0)), ("kannala_brandt4", ())])
+def test_images_of_a_fisheye_camera_info_are_undistorted(tmp_path, model, lens):
+    stream = BagStream(write_ramps(tmp_path / "a", [({"distortion_model": model, "d": np.array(lens)}, 1)]))
+    assert (stream.camera.fx, stream.camera.distortion) == (40, ())
+    at = np.array([[20, 10], [45, 40], [32, 24]])
+    rays = (at - (32, 24)) / (40, 41)
+    k = np.array((*lens, 0, 0, 0, 0)[:4], dtype=float)
+    bent = cv2.fisheye.distortPoints(rays[:, None], stream.camera.matrix, k)[:, 0]
+    (frame,) = stream
+    np.testing.assert_allclose(frame.image[at[:, 1], at[:, 0], :2], bent * (4, 5), atol=3)
+    brought = list(replace(stream, camera=PinholeCamera(20, 20.5, 16, 12, 32, 24)))
+    np.testing.assert_allclose(brought[0].image[12, 16, :2], frame.image[24, 32, :2], atol=8)
+
+
+@pytest.mark.parametrize(
+    ("change", "topic", "match"),
+    [
+        ({"k": np.zeros(9)}, "/cam/image_raw", "not calibrated: K is zero, and D, which is not, says that P is of"),
+        ({"p": np.zeros(12)}, "/cam/image_rect", "P is zero"),
+        ({"distortion_model": "equidistant", "d": np.ones(5)}, "/cam/image_raw", "of 5 numbers"),
+        ({"width": 0}, "/cam/image_raw", "0x96 pixels"),
+    ],
+)
+def test_a_camera_info_that_says_no_camera_is_refused(change, topic, match):
+    message = info()
+    vars(message).update(change)
+    with pytest.raises(SourceError, match=match):
+        camera_of_info(message, "info", topic)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "times", "recordings"),
+    [
+        ([7] * 6, 100 + np.arange(6), [0] * 6),  # of reception, a second apart
+        ([100, 0, 0, 0, 0, 0], 100 + np.arange(6), [0] * 6),
+        ([100, 100.5, 0, 101, 101.5, 102], [100, 100.5, 0, 101, 101.5, 102], [0] * 6),
+        ([200, 200.5, 201, 50, 50.5, 51], [200, 200.5, 201, 50, 203, 203.5], [0, 0, 0, 0, 1, 1]),
+    ],
+)
+def test_one_stamp_costs_one_frame_and_a_clock_that_is_set_back_another(tmp_path, stamps, times, recordings):
+    frames = list(
+        BagStream(write_bag(tmp_path / "a", "sqlite", image_options={"header_times": np.array(stamps, float)}))
+    )
+    np.testing.assert_allclose([frame.timestamp_s for frame in frames], times, atol=1e-6)
+    assert [frame.recording for frame in frames] == recordings
+
+
+@pytest.mark.parametrize(
+    ("stamps", "astray"),
+    [
+        ([0, 100, 100.5, 101, 101.5, 102], 0),
+        ([1e9, 100, 100.5, 101, 101.5, 102], 0),
+        ([100, 100.5, 1e9, 101, 101.5, 102], 2),
+        ([100, 100.5, 101, 101.5, 102, 1e9], 5),
+    ],
+)
+def test_a_stamp_far_from_the_others_costs_that_frame_alone(tmp_path, stamps, astray):
+    path = write_bag(tmp_path / "a", "sqlite", image_options={"header_times": np.array(stamps, float)})
+    frames = list(BagStream(path))
+    assert [frame.image is None for frame in frames] == [i == astray for i in range(6)]
+    assert f"message {astray} of /cam/image_raw: its stamp, {stamps[astray]:.3f} s, is far" in frames[astray].problem
+    assert {frame.recording for frame in frames} == {0}
+    assert (np.diff([frame.timestamp_s for frame in frames]) > 0).all()
+    assert [f.timestamp_s for f in frames if f.image is not None] == [s for s in stamps if s != stamps[astray]]
+    result = run_ok("data", "convert", path, "--out", tmp_path / "out")
+    assert f"message {astray} of /cam/image_raw: its stamp" in " ".join(result.output.split())
+
+
+def test_a_pause_and_two_frames_are_no_clock_that_was_set(tmp_path):
+    stamps = np.array([50, 100, 100.5, 101, 101.5, 150])
+    path = write_bag(tmp_path / "a", "sqlite", image_options={"header_times": stamps})
+    assert [frame.timestamp_s for frame in BagStream(path)] == stamps.tolist()
+
+
+def compressed(image, form, suffix=".png"):
+    return SimpleNamespace(format=form, data=cv2.imencode(suffix, image)[1].ravel())
+
+
+def test_compressed_images_of_16_bits_and_mosaics_have_their_values():
+    wide = compressed(np.linspace(0, 1023, 48).astype(np.uint16).reshape(6, 8), "mono16; png compressed ")
+    assert white_of(wide) == 1023
+    np.testing.assert_allclose(image_of(wide, COMPRESSED, 4095).max(), 64, atol=1)
+    mosaic = in_encoding(RED, "bayer_rggb8").squeeze()
+    found = image_of(compressed(mosaic, "bayer_rggb8; png compressed "), COMPRESSED)
+    np.testing.assert_allclose(found[2:-2, 2:-2].astype(int), RED[2:-2, 2:-2].astype(int), atol=3)
+    swapped = image_of(compressed(RED, "rgb8; png compressed rgb8"), COMPRESSED)
+    np.testing.assert_array_equal(swapped, RED)
+    np.testing.assert_array_equal(image_of(compressed(RED[..., ::-1], "rgb8; png compressed bgr8"), COMPRESSED), RED)
+    assert not is_swapped("png compressed rgb8")  # of others than image_transport
+    np.testing.assert_array_equal(image_of(compressed(RED[..., ::-1], "png compressed rgb8"), COMPRESSED), RED)
+    done = image_of(compressed(RED[..., ::-1], "bayer_rggb8; png compressed bgr8"), COMPRESSED)
+    np.testing.assert_array_equal(done, RED)
+
+
+@pytest.mark.parametrize("form", ["h264", "16UC1; compressedDepth"])
+def test_compressed_images_that_cannot_be_decoded_are_refused_at_opening(tmp_path, monkeypatch, form):
+    made = messages
+
+    def other(store, **options):
+        found = made(store, **options, compressed=True)
+        for _, message in found:
+            object.__setattr__(message, "format", form)
+            object.__setattr__(message, "data", np.arange(99, dtype=np.uint8))
+        return found
+
+    monkeypatch.setitem(globals(), "messages", other)
+    with pytest.raises(SourceError, match=rf"{form}.*none of PNG, JPEG"):
+        BagStream(write_bag(tmp_path / "a", "sqlite", topic="/cam/image_raw/compressed"))
+
+
+def test_packed_recordings_are_named(tmp_path):
+    (tmp_path / "a.db3.zstd").write_bytes(b"x")
+    with pytest.raises(SourceError, match="unpack it first"):
+        open_stream(tmp_path / "a.db3.zstd")
+
+
+@pytest.mark.parametrize(
+    ("kind", "how", "refused"),
+    [
+        ("ros1", "BZ2", ""),
+        ("ros1", "LZ4", ""),
+        ("mcap", "STORAGE", ""),
+        ("mcap", "FILE", "unpack it first"),
+        ("sqlite", "MESSAGE", "messages are compressed, .* name the folder of both"),
+    ],
+)
+def test_compressed_recordings_are_read(tmp_path, kind, how, refused):
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode
+
+    packed = [Writer1.CompressionFormat[how]] if kind == "ros1" else (CompressionMode[how], CompressionFormat.ZSTD)
+    path = write_bag(tmp_path / ("a.bag" if kind == "ros1" else "a"), kind, packed=packed)
+    assert [int(f.image[0, 0, 2]) for f in open_stream(path)] == [40 * i for i in range(6)]
+    if refused:
+        (part,) = (p for p in path.iterdir() if p.suffix != ".yaml")
+        with pytest.raises(SourceError, match=refused):
+            open_stream(part)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite"])
+def test_without_header_stamps_the_times_of_reception_are_used(tmp_path, kind):
+    options = {"header_times": np.zeros(6)}
+    stream = open_stream(write_bag(tmp_path / ("a.bag" if kind == "ros1" else "a"), kind, image_options=options))
+    np.testing.assert_allclose([f.timestamp_s for f in stream], 100 + np.arange(6), atol=1e-6)
+    assert any("no header stamps" in what for what, _ in stream.notes)
+
+
+def test_a_recording_that_was_never_closed_names_what_repairs_it(tmp_path):
+    (path,) = write_bag(tmp_path / "a", "mcap").glob("*.mcap")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(SourceError, match="never closed, repair it with 'mcap recover"):
+        open_stream(cut)
+    with pytest.raises(SourceError, match=r"as a ROS recording.*; rename it to CUT\.mcap"):
+        open_stream(cut.rename(tmp_path / "CUT.MCAP"))
+    folder = path.parent.rename(tmp_path / "run.A")  # whose name ends in nothing that is at fault
+    (folder / path.name).write_bytes(b"")
+    with pytest.raises(SourceError, match=r"run\.A: cannot be opened as a ROS recording(?!.*rename)"):
+        open_stream(folder)
+
+
+def test_a_recording_without_images_is_named_with_its_topics(tmp_path):
+    path = write_bag(tmp_path / "a", "sqlite", topic=None, others=[("/imu", "sensor_msgs/msg/Imu")])
+    with pytest.raises(SourceError, match=r"holds no images; its topics are /imu"):
+        open_stream(path)
+
+
+def test_the_topic_must_be_there(tmp_path):
+    path = write_bag(tmp_path / "a", "sqlite", with_info=False)
+    with pytest.raises(SourceError, match="no images on /other; there are /cam/image_raw"):
+        open_stream(path, topic="/other")
+    assert open_stream(path, topic="/cam/image_raw").camera is None
+
+
+# decoding ahead
+
+
+@dataclass
+class Slow:
+    """A stream whose frames take a while, and which may break off."""
+
+    n: int = 20
+    pause: float = 0.0
+    live: bool = False
+    fail: bool = False
+    name: str = "slow"
+    camera: None = None
+    n_frames: None = None
+
+    def __iter__(self):
+        for i in range(self.n):
+            time.sleep(self.pause)
+            yield Frame(str(i), 0.05 * i, np.zeros((2, 2, 3), np.uint8))
+        if self.fail:
+            raise SourceError("gone")
+
+
+def test_all_frames_come_in_order_and_the_error_after_them():
+    seen, frames = [], prefetch(Slow(fail=True))
+
+    def take():
+        for frame in frames:
+            seen.append(frame.name)
+            time.sleep(0.002)
+
+    with pytest.raises(SourceError, match="gone"):
+        take()
+    assert seen == [str(i) for i in range(20)]
+
+
+def test_a_live_source_loses_the_oldest_frames_of_a_slow_taker():
+    seen = []
+    for frame in prefetch(Slow(n=40, pause=0.005, live=True), depth=2):
+        seen.append(int(frame.name))
+        time.sleep(0.03)
+    assert seen == sorted(seen)
+    assert seen[-1] == 39
+    assert len(seen) < 25
+
+
+def test_the_cameras_pace_is_kept():
+    started = time.perf_counter()
+    assert len(list(prefetch(Slow(n=11), pace=Pace.CAMERA))) == 11
+    assert 0.45 < time.perf_counter() - started < 2.0
+
+
+def test_a_taker_that_stops_leaves_no_thread():
+    before = threading.active_count()
+    frames = prefetch(Slow(n=1000, pause=0.001))
+    next(frames)
+    frames.close()
+    time.sleep(0.1)
+    assert threading.active_count() <= before
+
+
+def test_a_data_set_streams_the_frames_between_too(redkitchen):
+    sequence = read_recording(redkitchen)
+    stream = open_stream(redkitchen)
+    assert isinstance(stream, SequenceStream)
+    some = SequenceStream(sequence, np.array([3, 5, 8]))
+    frames = list(some)
+    assert [(f.index, f.answer) for f in frames] == [(i, i in (3, 5, 8)) for i in range(3, 9)]
+    assert some.n_frames == 6
+    np.testing.assert_array_equal(frames[2].image, sequence.image(5))
+    with pytest.raises(DatasetError, match="no such folder"):
+        open_stream(redkitchen / "absent")
+
+
+@pytest.mark.parametrize("address", ["rtsp://10.0.0.1/live", "http://camera/video", "RTSP:/10.0.0.1/live"])
+def test_addresses_on_a_network_are_refused(address):
+    with pytest.raises(SourceError, match="is an address on a network, and none is opened"):
+        open_stream(address)

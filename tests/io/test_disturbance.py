@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+
+from conformodal.io import Disturbance, PixelNoise
+
+IMAGE = np.random.default_rng(0).integers(60, 190, (48, 64, 3), dtype=np.uint8)
+SMOOTH = np.tile(np.linspace(60, 190, 64).astype(np.uint8)[None, :, None], (48, 1, 3))
+
+
+def test_an_image_is_disturbed_alike_each_time_and_others_otherwise():
+    own = [Disturbance(seed).apply(IMAGE, name) for seed, name in ((1, "a"), (1, "a"), (2, "a"), (1, "b"))]
+    np.testing.assert_array_equal(own[0], own[1])
+    assert all((own[0] != other).any() for other in own[2:])
+    assert all(its.shape == IMAGE.shape and its.dtype == np.uint8 for its in own)
+
+
+def test_each_kind_comes_in_a_fifth_of_the_images():
+    """On a smooth image: darker, brighter, noisy ones are told by their pixels; blur and JPEG nearly leave it."""
+    kinds = {"darker": 0, "brighter": 0, "noise": 0, "little": 0}
+    for i in range(200):
+        off = Disturbance(0).apply(SMOOTH, str(i)).astype(float) - SMOOTH
+        if off.mean() < -20:
+            kinds["darker"] += 1
+        elif off.mean() > 20:
+            kinds["brighter"] += 1
+        else:
+            kinds["noise" if off.std() > 6 else "little"] += 1
+    # binomial, n = 200: bounds that are left with a probability below 1e-4
+    assert all(20 <= kinds[kind] <= 63 for kind in ("darker", "brighter", "noise")), kinds
+    assert 52 <= kinds["little"] <= 108, kinds
+
+
+def test_noise_that_images_have_anyway_comes_first():
+    noise = PixelNoise(0.1)
+    expected = Disturbance(3).apply(noise.apply(IMAGE, "a"), "a")
+    np.testing.assert_array_equal(Disturbance(3, noise).apply(IMAGE, "a"), expected)
+
+
+@pytest.mark.parametrize("name", ["a", "b", "c"])
+def test_the_image_itself_stays(name):
+    before = IMAGE.copy()
+    Disturbance(0).apply(IMAGE, name)
+    np.testing.assert_array_equal(IMAGE, before)

@@ -1,0 +1,228 @@
+"""Fisheye images are undistorted when they are read: dots land where the pinhole camera sees them."""
+
+import json
+import struct
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from conformodal.geometry import PinholeCamera
+from conformodal.io import DatasetError, DatasetWarning, read_colmap, read_recording
+from conformodal.io.lenses import _maps, fisheye_of
+
+W, H = 160, 120
+F = (62.0, 60.0, 81.5, 58.0)  # fx, fy, cx, cy
+K = (-0.05, 0.012, -0.004, 0.0007)
+N = 3
+pytestmark = pytest.mark.filterwarnings("ignore::conformodal.io.DatasetWarning")
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("CONFORMODAL_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "undistorted"
+
+
+def project(rays, f=F, k=K):
+    """Rays (n, 3) to pixels of the lens, written from the model's definition."""
+    x, y, z = rays.T
+    r = np.hypot(x, y)
+    t = np.arctan2(r, z)
+    bent = t + k[0] * t**3 + k[1] * t**5 + k[2] * t**7 + k[3] * t**9
+    share = np.where(r > 0, bent / np.maximum(r, 1e-12), 1)
+    return np.column_stack((f[0] * share * x + f[2], f[1] * share * y + f[3]))
+
+
+GRID = np.stack(np.meshgrid(np.linspace(22, W - 22, 5), np.linspace(18, H - 18, 4)), axis=-1).reshape(-1, 2)
+RAYS = np.column_stack(((GRID - F[2:]) / F[:2], np.ones(len(GRID))))  # through these pixels of the pinhole camera
+
+
+def seen_by_the_pinhole(f=F, k=K):
+    """Where the pinhole camera sees what a pixel of the lens shows, (H, W, 2); the model, inverted by a table."""
+    y, x = np.mgrid[:H, :W]
+    u, v = (x - f[2]) / f[0], (y - f[3]) / f[1]
+    bent, t = np.hypot(u, v), np.linspace(0, 1.5, 20001)
+    angle = np.interp(bent, t + k[0] * t**3 + k[1] * t**5 + k[2] * t**7 + k[3] * t**9, t)
+    share = np.tan(angle) / np.maximum(bent, 1e-12)
+    return np.stack((f[0] * share * u + f[2], f[1] * share * v + f[3]), axis=-1)
+
+
+def dots():
+    """The lens's image of soft dots that are round in the pinhole camera's."""
+    at = seen_by_the_pinhole()
+    grey = sum(np.exp(-((at - place) ** 2).sum(axis=-1) / 5) for place in GRID)
+    return np.repeat((255 * np.clip(grey, 0, 1)).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def centres(image, near):
+    """Centres of brightness around places."""
+    found = []
+    for u, v in np.rint(near).astype(int):
+        y, x = np.mgrid[v - 7 : v + 8, u - 7 : u + 8]
+        weight = image[v - 7 : v + 8, u - 7 : u + 8, 0].astype(float)
+        found.append(((weight * x).sum() / weight.sum(), (weight * y).sum() / weight.sum()))
+    return np.array(found)
+
+
+def write_pictures(root, suffix=".png"):
+    (root / "images").mkdir(parents=True)
+    for i in range(N):
+        picture = dots()
+        picture[:6, :6] = 40 * i
+        Image.fromarray(picture).save(root / "images" / f"{i:02d}{suffix}")
+    return root
+
+
+def write_colmap(root, numbers=(*F, *K), size=(W, H), *, binary=False):
+    write_pictures(root)
+    place = root / "sparse" / "0"
+    place.mkdir(parents=True)
+    rows = [(i + 1, 1.0, 0.0, 0.0, 0.0, -0.5 * i, 0.0, 0.0, 1, f"{i:02d}.png") for i in range(N)]
+    if binary:
+        head = struct.pack("<QiiQQ", 1, 1, 5, *size)
+        (place / "cameras.bin").write_bytes(head + struct.pack("<8d", *numbers))
+        images = [struct.pack("<i7di", *row[:9]) + row[9].encode() + b"\0" + bytes(8) for row in rows]
+        (place / "images.bin").write_bytes(struct.pack("<Q", N) + b"".join(images))
+        return root
+    (place / "cameras.txt").write_text(f"1 OPENCV_FISHEYE {size[0]} {size[1]} {' '.join(map(str, numbers))}\n")
+    (place / "images.txt").write_text("".join(" ".join(map(str, row)) + "\n\n" for row in rows))
+    return root
+
+
+def write_nerf(root, change=None):
+    write_pictures(root)
+    poses = np.tile(np.diag([1.0, -1, -1, 1]), (N, 1, 1))
+    poses[:, 0, 3] = 0.5 * np.arange(N)
+    content = dict(zip(("fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4"), (*F, *K), strict=True))
+    content |= {"w": W, "h": H, "camera_model": "OPENCV_FISHEYE"} | (change or {})
+    content["frames"] = [{"file_path": f"images/{i:02d}.png", "transform_matrix": poses[i].tolist()} for i in range(N)]
+    (root / "transforms.json").write_text(json.dumps(content))
+    return root
+
+
+WRITERS = {
+    "colmap": write_colmap,
+    "colmap, binary": lambda root: write_colmap(root, binary=True),
+    "nerf": write_nerf,
+    "nerf of other tools": lambda root: write_nerf(root, {"camera_model": "OPENCV_FISHEYE", "is_fisheye": 1}),
+}
+
+
+def test_the_formula_is_opencv_s_and_its_inverse_inverts_it():
+    theirs, _ = cv2.fisheye.projectPoints(
+        RAYS[:, None], np.zeros(3), np.zeros(3), PinholeCamera(*F, W, H).matrix, np.array(K)
+    )
+    np.testing.assert_allclose(project(RAYS), theirs[:, 0], atol=1e-9)
+    assert np.abs(project(RAYS) - GRID).max() > 5  # the lens does bend
+    at = seen_by_the_pinhole()[20:100:7, 20:140:7].reshape(-1, 2)
+    rays = np.column_stack(((at - F[2:]) / F[:2], np.ones(len(at))))
+    np.testing.assert_allclose(
+        project(rays), np.stack(np.mgrid[20:100:7, 20:140:7][::-1], axis=-1).reshape(-1, 2), atol=1e-4
+    )
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_dots_land_where_the_pinhole_camera_sees_them(tmp_path, kind):
+    sequence = read_recording(WRITERS[kind](tmp_path / "a"))
+    assert sequence.camera == PinholeCamera(*F, W, H)
+    np.testing.assert_allclose(sequence.require_truth().positions_xyz[:, 0], 0.5 * np.arange(N))
+    assert [path.name for path in sequence.image_paths] == [f"{i:02d}.png" for i in range(N)]
+    for i in range(N):
+        image = sequence.image(i)
+        np.testing.assert_allclose(centres(image, GRID), GRID, atol=0.05)
+
+
+def test_pictures_are_undistorted_once(tmp_path, cache):
+    write_colmap(tmp_path / "a")
+    first = read_colmap(tmp_path / "a")
+    stamps = {path: path.stat().st_mtime_ns for path in first.image_paths}
+    assert all(path.is_relative_to(cache) for path in stamps)
+    again = read_colmap(tmp_path / "a", require_poses=False)
+    assert {path: path.stat().st_mtime_ns for path in again.image_paths} == stamps
+    damaged = first.image_paths[1]
+    damaged.write_bytes(damaged.read_bytes()[:-20])
+    np.testing.assert_allclose(centres(read_colmap(tmp_path / "a").image(1), GRID), GRID, atol=0.05)
+    # another lens makes other pictures, and so does another picture
+    (tmp_path / "a" / "sparse" / "0" / "cameras.txt").write_text(
+        f"1 OPENCV_FISHEYE {W} {H} {' '.join(map(str, F))} 0 0 0 0"
+    )
+    assert not set(stamps) & set(read_colmap(tmp_path / "a").image_paths)
+
+
+def test_a_stated_size_scales_the_lens(tmp_path):
+    twice = [2 * v for v in F]
+    sequence = read_recording(write_colmap(tmp_path / "a", (*twice, *K), (2 * W, 2 * H)))
+    assert sequence.camera == PinholeCamera(*F, W, H)
+    np.testing.assert_allclose(centres(sequence.image(0), GRID), GRID, atol=0.05)
+
+
+def test_what_a_pinhole_camera_cannot_show_is_cut_off_and_told(tmp_path):
+    """A lens of 190 degrees without distortion: r = f t."""
+    f = (W / 2) / np.radians(95)
+    with pytest.warns(DatasetWarning, match=r"keeps 118 of 190 degrees across; the rest is cut off"):
+        sequence = read_recording(write_colmap(tmp_path / "a", (f, f, W / 2, H / 2, 0, 0, 0, 0)))
+    assert any(what == "fisheye images are undistorted" for what, _ in sequence.notes)
+    assert sequence.image(0)[:, :2].any()  # nothing black at its sides
+
+
+def test_a_picture_that_cannot_be_read_costs_its_frame(tmp_path):
+    write_colmap(tmp_path / "a")
+    (tmp_path / "a" / "images" / "01.png").write_bytes(b"no image")
+    assert [path.name for path in read_recording(tmp_path / "a").image_paths] == ["00.png", "02.png"]
+    whole = read_recording(tmp_path / "a", require_poses=False)
+    with pytest.raises(DatasetError, match=r"a/images/01\.png"):
+        whole.image(1)
+
+
+BAD = {
+    "k1 is NaN": ((float("nan"), 0, 0, 0), "not finite"),
+    "k4 is infinite": ((0, 0, 0, float("inf")), "not finite"),
+    "k2 is 1e9": ((0, 1e9, 0, 0), "no lens does"),
+    "k1 is 1e300": ((1e300, 0, 0, 0), "no lens does"),
+    "the image folds": ((-0.9, 0, 0, 0), "folds the image over itself .* degrees from its axis"),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_coefficients_of_no_lens_are_refused(tmp_path, what):
+    lens, match = BAD[what]
+    write_colmap(tmp_path / "a", (*F, *lens))
+    write_nerf(tmp_path / "b", dict(zip(("k1", "k2", "k3", "k4"), lens, strict=True)))
+    for name, file in (("a", r"cameras\.txt, line 1"), ("b", r"transforms\.json")):
+        with pytest.raises(DatasetError, match=rf"{file}.*{match}"):
+            read_recording(tmp_path / name)
+
+
+@pytest.mark.parametrize("change", [{"p1": 0.1}, {"p2": 0.1}, {"fl_x": None}, {"k4": "x"}, {"camera_model": "FISHEYE"}])
+def test_fisheye_cameras_of_nerf_that_say_something_else_are_refused(tmp_path, change):
+    with pytest.raises(DatasetError, match=r"transforms\.json"):
+        read_recording(write_nerf(tmp_path / "a", change))
+
+
+def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setenv("CONFORMODAL_CACHE", str(tmp_path / "file"))
+    with pytest.raises(
+        DatasetError, match=r"file/undistorted: undistorted images cannot be kept there.*CONFORMODAL_CACHE"
+    ):
+        read_colmap(write_colmap(tmp_path / "a"))
+
+
+numbers = st.one_of(st.floats(), st.floats(-2, 2), st.floats(1, 1000))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@given(pixels=st.tuples(*[numbers] * 4), lens=st.tuples(*[numbers] * 4))
+@settings(deadline=None, max_examples=150)
+def test_any_numbers_are_a_lens_that_does_not_fold_or_are_refused(pixels, lens):
+    try:
+        found = fisheye_of("file", pixels, (W, H), lens, stated=None, notes=[])
+    except DatasetError:
+        return
+    x, y = _maps(found, found.pinhole)
+    assert np.isfinite(x).all()
+    assert np.isfinite(y).all()

@@ -1,0 +1,86 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from conformodal.geometry import Trajectory
+from conformodal.io import DatasetError, make_split
+from conformodal.io.joining import join_recordings, near_known
+from conformodal.io.streams.frames import SourceError
+from conformodal.io.streams.joined import JoinedStream, join_streams
+from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.video import CameraStream
+
+
+def part(sequence, first, last, **changes):
+    rows = slice(first, last)
+    own = replace(
+        sequence,
+        image_paths=sequence.image_paths[rows],
+        timestamps_s=sequence.timestamps_s[rows],
+        recording=sequence.recording[rows] + 4,
+        truth=sequence.truth[rows],
+        known_poses=None,
+    )
+    return replace(own, **changes)
+
+
+def test_recordings_of_several_data_sets_are_numbered_on_and_keep_their_poses(sequence):
+    late, early = part(sequence, 20, 40), part(sequence, 0, 20)
+    assert join_recordings([late]) is late
+    whole = join_recordings([late, early, part(sequence, 50, 60)])
+    np.testing.assert_array_equal(whole.recording, np.repeat([0, 1, 2], [20, 20, 10]))
+    assert whole.timestamps_s[20] == whole.timestamps_s[19] + 10  # it was earlier, so it begins later
+    np.testing.assert_allclose(np.diff(whole.timestamps_s[20:40]), np.diff(early.timestamps_s))
+    np.testing.assert_array_equal(whole.require_truth().positions_xyz[20:40], early.truth.positions_xyz)
+    np.testing.assert_array_equal(whole.require_truth().timestamps_s, whole.timestamps_s)
+    assert whole.image_paths[20] == early.image_paths[0]
+
+
+def test_a_data_set_that_tests_is_held_out_whole(sequence):
+    whole = join_recordings(
+        [part(sequence, 0, 30), part(sequence, 30, 60), part(sequence, 60, 70)], [False, False, True]
+    )
+    split = make_split(whole.recording, "given", given_test=whole.given_test)
+    np.testing.assert_array_equal(split.test, np.arange(60, 70))
+    assert join_recordings([part(sequence, 0, 3), part(sequence, 3, 9)]).given_test is None
+
+
+def test_frames_without_poses_are_joined_too(sequence):
+    blind = part(sequence, 0, 5, truth=None)
+    whole = join_recordings([blind, part(sequence, 5, 9)])
+    assert whole.truth is None
+    np.testing.assert_array_equal(whole.posed, np.arange(5, 9))
+    assert join_recordings([blind, part(sequence, 5, 9, truth=None)]).poses is None
+
+
+def test_images_of_another_camera_are_brought_to_the_first(sequence, tmp_path, monkeypatch):
+    monkeypatch.setenv("CONFORMODAL_CACHE", str(tmp_path))
+    other = replace(sequence.camera, fx=1.2 * sequence.camera.fx, fy=1.2 * sequence.camera.fy)
+    whole = join_recordings([part(sequence, 0, 2), part(sequence, 2, 4, camera=other)])
+    assert whole.camera == sequence.camera
+    assert whole.image(3).shape == sequence.image(3).shape
+    assert [what for what, _ in whole.notes] == ["images of another camera are brought to one"]
+
+
+def test_a_frame_in_two_data_sets_is_refused(sequence):
+    with pytest.raises(DatasetError, match="is in two of the data sets"):
+        join_recordings([part(sequence, 0, 5), part(sequence, 4, 8)])
+    with pytest.raises(DatasetError, match="no data set"):
+        join_recordings([])
+
+
+def test_streams_of_several_kinds_run_one_after_the_other(sequence):
+    one, other = (SequenceStream(part(sequence, *rows)) for rows in ((10, 14), (0, 3)))
+    assert isinstance(join_streams([one, other]), SequenceStream)
+    frames = list(JoinedStream((one, other)))
+    assert [frame.recording for frame in frames] == [4, 4, 4, 4, 9, 9, 9]
+    assert (np.diff([frame.timestamp_s for frame in frames]) > 0).all()
+    assert JoinedStream((one, other)).n_frames == 7
+    with pytest.raises(SourceError, match="never ends"):
+        join_streams([CameraStream(0, None), one])
+
+
+def test_poses_near_a_known_one_are_told(sequence):
+    poses = Trajectory(np.arange(4), np.diag([0.0, 0.2, 0.4, 0])[:, :3], [[1, 0, 0, 0]] * 3 + [[1, 1, 0, 0]])
+    np.testing.assert_array_equal(near_known(poses, poses[:1], 0.3, np.radians(30)), [True, True, False, False])

@@ -1,0 +1,478 @@
+"""Every layout is written as published, with a scene whose answer is known: the camera walks along x and turns left."""
+
+import json
+import re
+import struct
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from conformodal.geometry import PoseError
+from conformodal.io import DatasetError, DatasetWarning, Layout, read_colmap, read_recording, recognise
+from conformodal.io.layouts.colmap_binary import _MODELS
+
+N, SIZE = 5, (64, 48)
+# seen from above, with z up: looks along x first, then turns to the left by 10 degrees a frame
+LEVEL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+TURNS = Rotation.from_euler("z", 10.0 * np.arange(N)[:, None], degrees=True) * LEVEL
+PLACES = np.column_stack((0.5 * np.arange(N), np.zeros(N), np.full(N, 1.5)))
+QUATS = TURNS.as_quat(scalar_first=True)
+K = "40 0 32\n0 40 24\n0 0 1\n"
+
+
+def picture(path, i):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", SIZE, (10 * i, 0, 0)).save(path)
+
+
+def matrices():
+    poses = np.tile(np.eye(4), (N, 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = TURNS.as_matrix(), PLACES
+    return poses
+
+
+def write_sevenscenes(root):
+    for i, pose in enumerate(matrices()):
+        picture(root / "seq-01" / f"frame-{i:06d}.color.png", i)
+        np.savetxt(root / "seq-01" / f"frame-{i:06d}.pose.txt", pose)
+    (root / "camera-intrinsics.txt").write_text(K)
+    (root / "frame-rate.txt").write_text("10\n")
+    return root
+
+
+def write_rgbd_scenes(root):
+    for scene in ("01", "02"):
+        for i in range(N):
+            picture(root / "imgs" / f"scene_{scene}" / f"{i:05d}-color.png", i)
+            picture(root / "imgs" / f"scene_{scene}" / f"{i:05d}-depth.png", i)
+        (root / "pc").mkdir(exist_ok=True)
+        np.savetxt(root / "pc" / f"{scene}.pose", np.column_stack((QUATS, PLACES)))
+        (root / "imgs" / f"scene_{scene}" / "camera-intrinsics.txt").write_text(K)
+    return root / "imgs" / "scene_02"
+
+
+def write_kitti(root):
+    sequence = root / "sequences" / "07"
+    for i in range(N):
+        picture(sequence / "image_0" / f"{i:06d}.png", i)
+    (sequence / "calib.txt").write_text("P0: 40 0 32 0 0 40 24 0 0 0 1 0\nP2: 40 0 32 8 0 40 24 0 0 0 1 0\n")
+    (sequence / "times.txt").write_text("\n".join(f"{0.1 * i:.6e}" for i in range(N)))
+    (root / "poses").mkdir()
+    np.savetxt(root / "poses" / "07.txt", matrices()[:, :3].reshape(N, 12))
+    return sequence
+
+
+def write_tum(root):
+    folder = root / "rgbd_dataset_freiburg3_walk"
+    lines = ["# color images"]
+    for i in range(N):
+        picture(folder / "rgb" / f"{i}.png", i)
+        lines.append(f"{100 + 0.1 * i:.4f} rgb/{i}.png")
+    (folder / "rgb.txt").write_text("\n".join(lines))
+    stamps = 100 + 0.1 * np.arange(N)
+    rows = np.column_stack((stamps, PLACES, QUATS[:, 1:], QUATS[:, :1]))
+    np.savetxt(folder / "groundtruth.txt", rows, header="timestamp tx ty tz qx qy qz qw")
+    (folder / "camera-intrinsics.txt").write_text(K)
+    return folder
+
+
+def write_euroc(root):
+    cam = root / "mav0" / "cam0"
+    lines = ["#timestamp [ns],filename"]
+    for i in range(N):
+        stamp = 1403636579763555584 + 50_000_000 * i
+        picture(cam / "data" / f"{stamp}.png", i)
+        lines.append(f"{stamp},{stamp}.png")
+    (cam / "data.csv").write_text("\n".join(lines))
+    # the camera sits 0.1 m to the side of the body and is turned by a quarter about its axis
+    T_body_cam = np.eye(4)
+    T_body_cam[:3, :3], T_body_cam[:3, 3] = Rotation.from_euler("z", 90, degrees=True).as_matrix(), [0.1, 0.02, 0]
+    body = matrices() @ np.linalg.inv(T_body_cam)
+    quats = Rotation.from_matrix(body[:, :3, :3]).as_quat(scalar_first=True)
+    truth = root / "mav0" / "state_groundtruth_estimate0" / "data.csv"
+    truth.parent.mkdir()
+    rows = ["#timestamp, p_RS_R_x [m], ..."]
+    for i in range(N):
+        numbers = ",".join(f"{v:.12f}" for v in (*body[i, :3, 3], *quats[i], 0.0, 0.0, 0.0))
+        rows.append(f"{1403636579763555584 + 50_000_000 * i},{numbers}")
+    truth.write_text("\n".join(rows))
+    (cam / "sensor.yaml").write_text(
+        "sensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: "
+        f"{T_body_cam.ravel().tolist()}\nresolution: [64, 48]\ncamera_model: pinhole\nintrinsics: [40, 40, 32, 24]\n"
+        "distortion_model: radial-tangential\ndistortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002]\n"
+    )
+    return root
+
+
+def write_colmap(root):
+    """World to camera, as COLMAP stores it, with a line of points after every image."""
+    lines = ["# Image list", "# with two lines an image"]
+    backward = np.linalg.inv(matrices())
+    quats = Rotation.from_matrix(backward[:, :3, :3]).as_quat(scalar_first=True)
+    for i in reversed(range(N)):  # COLMAP keeps no order
+        picture(root / "images" / f"{i:04d}.png", i)
+        numbers = " ".join(f"{v:.12f}" for v in (*quats[i], *backward[i, :3, 3]))
+        lines += [f"{i + 7} {numbers} 3 {i:04d}.png", "10.5 11.5 -1 12.0 13.0 44"]
+    (root / "sparse" / "0").mkdir(parents=True)
+    (root / "sparse" / "0" / "images.txt").write_text("\n".join(lines) + "\n")
+    (root / "sparse" / "0" / "cameras.txt").write_text("# cameras\n3 OPENCV 64 48 40 40 32 24 -0.1 0.02 0.001 0.002\n")
+    (root / "frame-rate.txt").write_text("10\n")
+    return root
+
+
+def write_nerf(root):
+    """Cameras that look along -z with y up."""
+    frames = []
+    for i, pose in enumerate(matrices()):
+        picture(root / "images" / f"{i:04d}.png", i)
+        opengl = np.column_stack((pose[:, 0], -pose[:, 1], -pose[:, 2], pose[:, 3]))
+        frames.append({"file_path": f"./images/{i:04d}", "transform_matrix": opengl.tolist()})
+    content = {"camera_angle_x": 2 * np.arctan(32 / 40), "cx": 32, "cy": 24, "frames": frames[::-1]}
+    (root / "transforms.json").write_text(json.dumps(content))
+    (root / "frame-rate.txt").write_text("10\n")
+    return root
+
+
+def write_images(root):
+    for i in range(N):
+        picture(root / f"{100 + 0.1 * i:.6f}.png", i)
+    rows = np.column_stack((100 + 0.1 * np.arange(N), PLACES, QUATS[:, 1:], QUATS[:, :1]))
+    np.savetxt(root / "poses.tum", rows)
+    (root / "camera-intrinsics.txt").write_text(K)
+    return root
+
+
+WRITERS = {
+    Layout.SEVENSCENES: write_sevenscenes,
+    Layout.RGBD_SCENES: write_rgbd_scenes,
+    Layout.KITTI: write_kitti,
+    Layout.TUM: write_tum,
+    Layout.EUROC: write_euroc,
+    Layout.COLMAP: write_colmap,
+    Layout.NERF: write_nerf,
+    Layout.IMAGES: write_images,
+}
+
+
+def test_every_layout_is_tested():
+    assert set(WRITERS) | {Layout.AUTO} == set(Layout)
+
+
+@pytest.mark.parametrize("layout", WRITERS)
+def test_the_known_scene_is_read_from_every_layout(tmp_path, layout):
+    folder = WRITERS[layout](tmp_path)
+    assert recognise(folder) is layout
+    sequence = read_recording(folder)
+    assert len(sequence) == N
+    assert (sequence.recording == 0).all()
+    np.testing.assert_allclose(sequence.require_truth().poses_se3, matrices(), atol=1e-9)
+    step = {Layout.RGBD_SCENES: 1 / 30, Layout.EUROC: 0.05}.get(layout, 0.1)
+    np.testing.assert_allclose(np.diff(sequence.timestamps_s), step, atol=1e-6)
+    camera = sequence.camera
+    assert (camera.fx, camera.cx, camera.width, camera.height) == pytest.approx((40, 32, *SIZE), rel=1e-12)
+    assert len(sequence.camera.distortion) == (4 if layout in (Layout.EUROC, Layout.COLMAP) else 0)
+    for i in range(N):
+        assert sequence.image(i)[0, 0].tolist() == [10 * i, 0, 0]
+    # what the camera looks at: along x at first, to the left after nine frames
+    forward = sequence.require_truth().poses_se3[:, :3, 2]
+    np.testing.assert_allclose(forward[0], [1, 0, 0], atol=1e-9)
+    assert (np.diff(forward[:, 1]) > 0).all()
+
+
+@pytest.mark.parametrize("layout", [Layout.KITTI, Layout.TUM, Layout.EUROC, Layout.RGBD_SCENES])
+def test_sequences_without_poses_are_read_if_asked(tmp_path, layout):
+    folder = WRITERS[layout](tmp_path)
+    for path in [*tmp_path.rglob("poses/*.txt"), *tmp_path.rglob("groundtruth.txt"), *tmp_path.rglob("*.pose")]:
+        path.unlink()
+    for path in tmp_path.rglob("state_groundtruth_estimate0/data.csv"):
+        path.unlink()
+    with pytest.raises(DatasetError, match=r"07\.txt|groundtruth|data\.csv|\.pose"):
+        read_recording(folder)
+    sequence = read_recording(folder, require_poses=False)
+    assert len(sequence) == N
+    assert sequence.truth is None
+    with pytest.raises(PoseError, match="no poses"):
+        sequence.require_truth()
+
+
+def test_gaps_of_kitti_s_numbers_are_gaps_in_time_without_poses_too(tmp_path):
+    folder = write_kitti(tmp_path)
+    (folder / "image_0" / "000002.png").unlink()
+    (folder / "times.txt").unlink()
+    posed = read_recording(folder)
+    (tmp_path / "poses" / "07.txt").unlink()
+    for sequence in (posed, read_recording(folder, require_poses=False)):
+        np.testing.assert_allclose(sequence.timestamps_s, [0, 0.1, 0.3, 0.4])
+
+
+def test_images_without_a_pose_in_time_are_left_out_of_training_only(tmp_path):
+    folder = write_tum(tmp_path)
+    path = folder / "groundtruth.txt"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:-2]))  # the last two poses are gone
+    assert len(read_recording(folder)) == N - 2
+    whole = read_recording(folder, require_poses=False)
+    assert len(whole) == N
+    assert whole.truth is None
+    path.write_text("900.0 0 0 0 0 0 0 1\n")
+    with pytest.raises(DatasetError, match=r"groundtruth\.txt: no image has a pose"):
+        read_recording(folder)
+
+
+def test_several_rgbd_scenes_are_several_recordings(tmp_path):
+    write_rgbd_scenes(tmp_path)
+    for scene in (tmp_path / "imgs").iterdir():
+        (scene / "camera-intrinsics.txt").unlink()
+    (tmp_path / "camera-intrinsics.txt").write_text(K)
+    sequence = read_recording(tmp_path)
+    assert np.bincount(sequence.recording).tolist() == [N, N]
+    assert (np.diff(sequence.timestamps_s) > 0).all()
+
+
+def test_kitti_s_colour_camera_stands_beside_the_grey_one(tmp_path):
+    folder = write_kitti(tmp_path)
+    (folder / "image_0").rename(folder / "image_2")
+    sequence = read_recording(folder)
+    # P2's last column is 8 = 40 * 0.2: it sees all points 0.2 m further right, so it stands to the left
+    apart = sequence.require_truth().positions_xyz - PLACES
+    right = TURNS.as_matrix()[:, :, 0]
+    np.testing.assert_allclose(apart, -0.2 * right, atol=1e-9)
+
+
+def test_real_data_are_recognised_and_read(real_data):
+    kitti = read_recording(real_data("kitti", "sequences", "06"))
+    assert len(kitti) == 51
+    # the car drives along the camera's axis
+    step = np.diff(kitti.require_truth().positions_xyz, axis=0)
+    forward = kitti.require_truth().poses_se3[:-1, :3, 2]
+    assert (np.sum(step * forward, axis=1) > 0.9 * np.linalg.norm(step, axis=1)).all()
+    tum = read_recording(real_data("tum", "fr3_cabinet"))
+    assert tum.camera.fx == 535.4
+    assert len(tum) == len(tum.require_truth()) > 50
+    assert recognise(real_data("7scenes", "redkitchen", "seq-01")) is Layout.SEVENSCENES
+
+
+def break_file(name, content):
+    def spoil(root):
+        path = next(root.rglob(name))
+        path.write_text(content)
+
+    return spoil
+
+
+def test_the_folder_of_euroc_s_cameras_may_have_any_name(tmp_path):
+    write_euroc(tmp_path)
+    (tmp_path / "mav0").rename(tmp_path / "flight")
+    assert len(read_recording(tmp_path / "flight")) == N
+
+
+def test_folders_in_no_layout_or_in_two_are_named(tmp_path):
+    with pytest.raises(DatasetError, match=r"7scenes: frame-NNNNNN.*kitti: image_0"):
+        recognise(tmp_path)
+    with pytest.raises(DatasetError, match="no such folder"):
+        recognise(tmp_path / "nowhere")
+    (tmp_path / "rgb.txt").write_text("")
+    (tmp_path / "frame-000000.color.png").write_text("")
+    with pytest.raises(DatasetError, match="could be 7scenes or tum"):
+        recognise(tmp_path)
+
+
+def test_image_folders_take_times_and_poses_from_where_they_are(tmp_path):
+    write_images(tmp_path)
+    for i, path in enumerate(sorted(tmp_path.glob("*.png"))):
+        path.rename(tmp_path / f"shot_{2 * i + 3}.png")  # the last is shot_11
+    (tmp_path / "poses.tum").unlink()
+    unposed = read_recording(tmp_path, require_poses=False)
+    assert unposed.timestamps_s.tolist() == pytest.approx([0, 1 / 30, 2 / 30, 0.1, 4 / 30])
+    (tmp_path / "times.txt").write_text("1 2 4 5 7\n")
+    np.savetxt(tmp_path / "poses.txt", matrices()[:, :3].reshape(N, 12))
+    found = read_recording(tmp_path)
+    assert found.timestamps_s.tolist() == [1, 2, 4, 5, 7]
+    np.testing.assert_allclose(found.truth.positions_xyz, PLACES, atol=1e-9)
+    assert [int(found.image(i)[0, 0, 0]) for i in range(N)] == [10 * i for i in range(N)]
+
+
+def test_dates_as_names_are_no_times(tmp_path):
+    """As numbers they would jump where a minute ends."""
+    write_images(tmp_path)
+    (tmp_path / "poses.tum").unlink()
+    for i, path in enumerate(sorted(tmp_path.glob("*.png"))):
+        path.rename(tmp_path / f"202401311259{58 + i}.png" if i < 2 else tmp_path / f"2024013113000{i - 2}.png")
+    times = read_recording(tmp_path, require_poses=False).timestamps_s
+    np.testing.assert_allclose(np.diff(times), 1 / 30)
+
+
+@pytest.mark.parametrize("layout", [Layout.COLMAP, Layout.NERF])
+def test_times_come_from_a_file_and_frame_10_after_frame_9(tmp_path, layout):
+    folder = WRITERS[layout](tmp_path)
+    text = max(tmp_path.rglob("images.txt"), default=tmp_path / "transforms.json")
+    for old, new in (("0003", "9"), ("0004", "10")):
+        (tmp_path / "images" / f"{old}.png").rename(tmp_path / "images" / f"{new}.png")
+        text.write_text(re.sub(rf"{old}(?=\.png|\")", new, text.read_text()))
+    (tmp_path / "times.txt").write_text("1 2 4 5 7\n")
+    found = read_recording(folder)
+    assert found.timestamps_s.tolist() == [1, 2, 4, 5, 7]
+    assert [int(found.image(i)[0, 0, 0]) for i in range(N)] == [10 * i for i in range(N)]
+
+
+def test_a_pose_file_out_of_order_is_paired_by_time_all_the_same(tmp_path):
+    folder = write_tum(tmp_path)
+    path = folder / "groundtruth.txt"
+    header, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([header, *(rows[i] for i in (3, 0, 4, 2, 1))]) + "\n")
+    np.testing.assert_allclose(read_recording(folder).require_truth().positions_xyz, PLACES)
+
+
+@pytest.mark.parametrize("ending", ["txt", "bin"])
+def test_pictures_that_colmap_found_no_pose_for_are_frames_without_one(tmp_path, ending):
+    write_colmap(tmp_path)
+    picture(tmp_path / "images" / "0001b.png", 7)  # between the second and the third
+    picture(tmp_path / "images" / "._0002.png", 9)
+    (tmp_path / "images" / "0003.jpg").write_bytes((tmp_path / "images" / "0003.png").read_bytes())
+    if ending == "bin":
+        as_binary(tmp_path)
+    with pytest.warns(DatasetWarning, match=rf"1 x no pose: 0001b\.png: .*images\.{ending}: does not name it"):
+        whole = read_recording(tmp_path, require_poses=False)
+    assert [path.name for path in whole.image_paths] == [
+        f"{n}.png" for n in ("0000", "0001", "0001b", "0002", "0003", "0004")
+    ]
+    assert whole.truth is None
+    np.testing.assert_allclose(whole.timestamps_s, 0.1 * np.arange(6), atol=1e-12)
+    np.testing.assert_allclose(whole.known_poses.positions_xyz, PLACES, atol=1e-9)
+    with pytest.warns(DatasetWarning, match="1 x left out, no pose"):
+        posed = read_recording(tmp_path)
+    np.testing.assert_array_equal(posed.timestamps_s, whole.known_poses.timestamps_s)
+
+
+@pytest.mark.parametrize("matrix", ["null", None])
+def test_frames_of_nerf_without_a_matrix_are_frames_without_a_pose(tmp_path, matrix):
+    write_nerf(tmp_path)
+    path = tmp_path / "transforms.json"
+    content = json.loads(path.read_text())
+    content["frames"][3].pop("transform_matrix")  # 0001
+    if matrix:
+        content["frames"][3]["transform_matrix"] = None
+    path.write_text(json.dumps(content))
+    with pytest.warns(DatasetWarning, match=r"0001\.png: .*transform_matrix is missing"):
+        whole = read_recording(tmp_path, require_poses=False)
+    assert len(whole) == N
+    np.testing.assert_allclose(whole.known_poses.positions_xyz, PLACES[[0, 2, 3, 4]], atol=1e-9)
+    with pytest.warns(DatasetWarning, match="1 x left out, no pose"):
+        assert len(read_recording(tmp_path)) == N - 1
+
+
+def test_a_scene_without_a_pose_file_has_frames_without_poses(tmp_path):
+    write_rgbd_scenes(tmp_path)
+    for scene in (tmp_path / "imgs").iterdir():
+        (scene / "camera-intrinsics.txt").unlink()
+    (tmp_path / "camera-intrinsics.txt").write_text(K)
+    (tmp_path / "pc" / "01.pose").unlink()
+    with pytest.warns(DatasetWarning, match=r"5 x no pose: 00000-color\.png: .*01\.pose: poses are missing"):
+        whole = read_recording(tmp_path, require_poses=False)
+    assert len(whole) == 2 * N
+    np.testing.assert_array_equal(whole.known_poses.timestamps_s, whole.timestamps_s[N:])
+    with pytest.warns(DatasetWarning, match="5 x left out, no pose"):
+        posed = read_recording(tmp_path)
+    np.testing.assert_array_equal(posed.timestamps_s, whole.timestamps_s[N:])
+    assert (posed.recording == 1).all()
+    (tmp_path / "pc" / "02.pose").unlink()
+    with pytest.raises(DatasetError, match=r"01\.pose: poses are missing"):
+        read_recording(tmp_path)
+
+
+@pytest.mark.parametrize("how", ["./{}", "../images/{}", "{root}/images/{}"])
+def test_pictures_that_colmap_names_in_another_way_are_no_others(tmp_path, how):
+    write_colmap(tmp_path)
+    path = tmp_path / "sparse" / "0" / "images.txt"
+    path.write_text(path.read_text().replace("0002.png", how.format("0002.png", root=tmp_path)))
+    assert len(read_recording(tmp_path, require_poses=False)) == N
+
+
+def as_binary(folder):
+    """The model of a folder, written as COLMAP writes it, in the place of the text; images have 0, 1, 2, ... points."""
+    place = folder / "sparse" / "0"
+    rows = [line.split() for line in (place / "cameras.txt").read_text().splitlines() if line[:1].strip("#")]
+    names = [name for name, _ in _MODELS]
+    cameras = struct.pack("<Q", len(rows))
+    for camera, model, width, height, *values in rows:
+        cameras += struct.pack("<iiQQ", int(camera), names.index(model), int(width), int(height))
+        cameras += struct.pack(f"<{len(values)}d", *map(float, values))
+    rows = [line.split() for line in (place / "images.txt").read_text().splitlines() if line.endswith(".png")]
+    images = struct.pack("<Q", len(rows))
+    for k, (number, *pose, camera, name) in enumerate(rows):
+        images += struct.pack("<i7di", int(number), *map(float, pose), int(camera)) + name.encode() + b"\0"
+        images += struct.pack("<Q", k) + struct.pack("<ddq", 1.5, 2.5, -1) * k
+    for name, content in (("cameras", cameras), ("images", images)):
+        (place / f"{name}.txt").unlink()
+        (place / f"{name}.bin").write_bytes(content)
+    return folder
+
+
+@pytest.fixture
+def binary(tmp_path):
+    write_colmap(tmp_path)
+    return as_binary(tmp_path)
+
+
+def test_a_binary_model_is_the_text_model(tmp_path, binary):
+    write_colmap(tmp_path / "text")
+    text, found = read_colmap(tmp_path / "text"), read_colmap(binary)
+    assert recognise(binary) is Layout.COLMAP
+    assert [path.name for path in found.image_paths] == [path.name for path in text.image_paths]
+    np.testing.assert_array_equal(found.truth.poses_se3, text.truth.poses_se3)
+    assert asdict(found.camera) == asdict(text.camera)
+
+
+@pytest.mark.parametrize("name", ["cameras", "images"])
+def test_damaged_files_are_named(binary, name):
+    path = binary / "sparse" / "0" / f"{name}.bin"
+    whole = path.read_bytes()
+    for cut in (*range(0, min(len(whole), 200), 7), len(whole) - 1):
+        path.write_bytes(whole[:cut])
+        with pytest.raises(DatasetError, match=rf"{name}\.bin: is no binary model"):
+            read_colmap(binary)
+    path.write_bytes(whole + b"more")
+    with pytest.raises(DatasetError, match=r"4 bytes follow"):
+        read_colmap(binary)
+    path.write_bytes(struct.pack("<Q", 2**63))
+    with pytest.raises(DatasetError, match="is no binary model"):
+        read_colmap(binary)
+    path.write_bytes(struct.pack("<Q", 0))
+    with pytest.raises(DatasetError, match="holds no"):
+        read_colmap(binary)
+
+
+def test_other_cameras_are_refused_as_those_of_text_are(binary):
+    path = binary / "sparse" / "0" / "cameras.bin"
+    head, values = struct.unpack("<QiiQQ", path.read_bytes()[:32]), path.read_bytes()[32:]
+    path.write_bytes(struct.pack("<QiiQQ", *head[:2], 10, *head[3:]) + values + bytes(32))
+    with pytest.raises(DatasetError, match=r"record 1: camera model THIN_PRISM_FISHEYE is none of"):
+        read_colmap(binary)
+    path.write_bytes(struct.pack("<QiiQQ", *head[:2], 99, *head[3:]) + values)
+    with pytest.raises(DatasetError, match="has the model 99"):
+        read_colmap(binary)
+
+
+def test_an_image_is_named_once(binary):
+    path = binary / "sparse" / "0" / "images.bin"
+    content = path.read_bytes()
+    first = content[8 : content.index(b"\0", 8 + 64) + 1 + 8]
+    path.write_bytes(struct.pack("<Q", 2) + first + first)
+    with pytest.raises(DatasetError, match="a second time"):
+        read_colmap(binary)
+
+
+def test_pictures_without_a_camera_are_named(tmp_path):
+    place = tmp_path / "photos"
+    place.mkdir()
+    for name in ("a.png", "b.png"):
+        Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(place / name)
+    for folder in (place, tmp_path):
+        with pytest.raises(DatasetError, match=r"photos holds 2 pictures; put camera-intrinsics\.txt beside them"):
+            read_recording(folder)
+    (place / "camera-intrinsics.txt").write_text("4 0 2\n0 4 2\n0 0 1\n")
+    with pytest.raises(DatasetError, match=r"name a folder in it, such as .*photos"):
+        read_recording(tmp_path)

@@ -1,0 +1,142 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from conformodal.io import DatasetError, ImageError, read_sevenscenes
+from conformodal.io.check import check_recording
+
+
+def write_recording(folder, n=4, suffix="png", size=(32, 24)):
+    folder.mkdir(parents=True)
+    (folder / "camera-intrinsics.txt").write_text("30 0 16\n0 30 12\n0 0 1\n")
+    for i in range(n):
+        Image.new("RGB", size, (i, 0, 0)).save(folder / f"frame-{i:06d}.color.{suffix}")
+        pose = np.eye(4)
+        pose[:3, 3] = i, 2 * i, 3 * i
+        np.savetxt(folder / f"frame-{i:06d}.pose.txt", pose)
+    return folder
+
+
+def test_scene_of_several_recordings_is_kept_apart(tmp_path):
+    write_recording(tmp_path / "seq-01")
+    write_recording(tmp_path / "seq-02", n=3)
+    (tmp_path / "frame-rate.txt").write_text("10\n")
+    sequence = read_sevenscenes(tmp_path)
+    assert sequence.recording.tolist() == [0, 0, 0, 0, 1, 1, 1]
+    assert sequence.timestamps_s[1] == pytest.approx(0.1)
+    assert (np.diff(sequence.timestamps_s) > 0).all()
+
+
+IDENTITY = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+
+
+def test_truncated_missing_and_resized_images_are_told_by_file(tmp_path):
+    folder = tmp_path / "seq-01"
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    for i, suffix in enumerate(["jpg", "png", "png", "png"]):
+        path = folder / f"frame-{i:06d}.color.{suffix}"
+        Image.fromarray(rng.integers(0, 255, (480, 640, 3), dtype=np.uint8)).save(path)
+        (folder / f"frame-{i:06d}.pose.txt").write_text(IDENTITY)
+    sequence = read_sevenscenes(folder)
+    for i in (0, 1):
+        content = sequence.image_paths[i].read_bytes()
+        sequence.image_paths[i].write_bytes(content[: len(content) // 2])
+        with pytest.raises(ImageError, match=f"frame-00000{i}"):
+            sequence.image(i)
+    Image.new("RGB", (10, 10)).save(sequence.image_paths[2])
+    with pytest.raises(ImageError, match="10x10"):
+        sequence.image(2)
+    sequence.image_paths[3].unlink()
+    with pytest.raises(ImageError, match="missing"):
+        sequence.image(3)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_camera_that_nothing_gives_is_told(tmp_path, known):
+    folder = write_recording(tmp_path / "seq-01", size=(640, 480))
+    (folder / "camera-intrinsics.txt").write_text("600 0 320\n0 600 240\n0 0 1\n")
+    if not known:
+        (folder / "camera-intrinsics.txt").unlink()
+    sequence = read_sevenscenes(folder)
+    assert sequence.camera.fx == (600 if known else 585)
+    told = [where for what, where in sequence.notes if what == "the camera is the layout's"]
+    assert told == (
+        [] if known else [f"{folder}: its focal length is 585 pixels; write another camera into camera-intrinsics.txt"]
+    )
+    assert not any(finding.wrong for finding in check_recording(sequence).findings if "layout" in finding.what)
+
+
+def test_a_lens_with_distortion_is_read(tmp_path):
+    folder = write_recording(tmp_path / "seq-01")
+    lens = folder / "camera-distortion.txt"
+    assert read_sevenscenes(folder).camera.distortion == ()
+    lens.write_text("-0.28 0.07 2e-4 0\n")
+    assert read_sevenscenes(folder).camera.distortion == (-0.28, 0.07, 2e-4, 0.0)
+
+
+def write_scene(folder, train="sequence1\n", test="sequence2\nsequence3\n"):
+    for number in (1, 2, 3):
+        write_recording(folder / f"seq-{number:02d}", n=number)
+    (folder / "TrainSplit.txt").write_text(train)
+    (folder / "TestSplit.txt").write_text(test)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("train", "test", "expected"),
+    [
+        ("sequence1\n", "sequence2\nsequence3\n", [0, 1, 1, 1, 1, 1]),
+        ("sequence 3\r\nSequence1\r\n\r\n", "sequence02", [0, 1, 1, 0, 0, 0]),
+        ("seq-02\nseq-03\n", "seq-01\n", [1, 0, 0, 0, 0, 0]),
+    ],
+)
+def test_lists_of_a_scene_say_which_frames_test(tmp_path, train, test, expected):
+    sequence = read_sevenscenes(write_scene(tmp_path, train, test))
+    assert sequence.given_test.dtype == bool
+    assert sequence.given_test.tolist() == [bool(x) for x in expected]
+
+
+def test_a_recording_and_a_scene_without_lists_give_no_test_frames(tmp_path):
+    scene = write_scene(tmp_path)
+    assert read_sevenscenes(scene / "seq-01").given_test is None
+    for path in scene.glob("*Split.txt"):
+        path.unlink()
+    assert read_sevenscenes(scene).given_test is None
+
+
+@pytest.mark.parametrize(
+    ("train", "test", "match"),
+    [
+        ("sequence1\n", "sequence2\n\nsequence3\nsequence7\n", r"TestSplit\.txt: line 4 names 'sequence7'.*no such"),
+        ("sequence1\n", "sequence2\n", r"TrainSplit\.txt: names seq-03 in no line, nor does TestSplit\.txt"),
+        (
+            "sequence1\nsequence2\n",
+            "sequence3\nsequence2\n",
+            r"TestSplit\.txt: line 2 names seq-02, which TrainSplit\.txt, line 2 names too",
+        ),
+        ("sequence1\nsequence1\n", "sequence2\nsequence3\n", r"TrainSplit\.txt: line 2 names seq-01, which TrainSplit"),
+        ("sequence1\nall the rest\n", "sequence2\n", r"TrainSplit\.txt: line 2 is 'all the rest', expected"),
+        ("\n", "sequence1\nsequence2\nsequence3\n", r"TrainSplit\.txt: names no recording"),
+        ("sequence1\nsequence2\nsequence3\n", "", r"TestSplit\.txt: names no recording"),
+    ],
+)
+def test_lists_that_do_not_name_every_recording_once_are_told_by_file_and_line(tmp_path, train, test, match):
+    with pytest.raises(DatasetError, match=match):
+        read_sevenscenes(write_scene(tmp_path, train, test))
+
+
+def test_given_test_must_fit_the_frames(tmp_path):
+    sequence = read_sevenscenes(write_scene(tmp_path))
+    with pytest.raises(DatasetError, match=r"6 images, but given_test has shape \(2,\)"):
+        replace(sequence, given_test=np.zeros(2, bool))
+
+
+@pytest.mark.parametrize(("gone", "there"), [("TrainSplit.txt", "TestSplit.txt"), ("TestSplit.txt", "TrainSplit.txt")])
+def test_one_list_without_the_other_is_refused(tmp_path, gone, there):
+    scene = write_scene(tmp_path)
+    (scene / gone).unlink()
+    with pytest.raises(DatasetError, match=rf"{gone}: is missing; {there} beside it"):
+        read_sevenscenes(scene)

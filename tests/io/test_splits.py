@@ -1,0 +1,201 @@
+import numpy as np
+import pytest
+
+from conformodal.io import SplitError, SplitKind, frames_to_known, held_out_together, make_split
+
+
+@pytest.mark.parametrize("kind", ["interleaved", "blocks"])
+def test_parts_are_disjoint_whole_and_seeded(kind):
+    recording = np.repeat([0, 1], [700, 300])
+    split = make_split(recording, kind, seed=4)
+    together = np.concatenate((split.train, split.calibration, split.test))
+    assert sorted(together.tolist()) == list(range(1000))
+    assert abs(len(split.test) - 200) <= (40 if kind == "blocks" else 0)
+    again, other = make_split(recording, kind, seed=4), make_split(recording, kind, seed=5)
+    assert again.test.tolist() == split.test.tolist() != other.test.tolist()
+
+
+def test_blocks_are_contiguous_and_do_not_span_recordings():
+    recording = np.repeat([0, 1], [505, 495])
+    split = make_split(recording, "blocks", n_blocks=20)
+    runs = np.split(split.test, np.flatnonzero(np.diff(split.test) > 1) + 1)
+    assert max(len(r) for r in runs) >= 40
+    assert len(runs) <= 6
+
+
+@pytest.mark.parametrize("kind", ["interleaved", "blocks"])
+def test_less_data_leaves_the_test_part_as_it_is(kind):
+    recording = np.zeros(1000, int)
+    whole = make_split(recording, kind, seed=2)
+    less = make_split(recording, kind, seed=2, calibration=0.08, used=0.4)
+    assert less.test.tolist() == whole.test.tolist()
+    assert len(less.train) + len(less.calibration) == pytest.approx(400, abs=40)
+    assert len(less.calibration) == pytest.approx(80, abs=40)
+    same = make_split(recording, kind, seed=2, used=0.8)
+    assert same.train.tolist() == whole.train.tolist()
+
+
+@pytest.mark.parametrize("kind", [SplitKind.INTERLEAVED, SplitKind.BLOCKS])
+def test_frames_held_out_together_are_in_the_same_part(kind):
+    recording = np.repeat([0, 1], [130, 270])
+    piece = held_out_together(recording, kind, n_blocks=20)
+    split = make_split(recording, kind, seed=3, n_blocks=20)
+    for part in (split.train, split.calibration, split.test):
+        inside = np.isin(np.arange(400), part)
+        assert not set(piece[inside]) & set(piece[~inside])
+    assert not set(piece[recording == 0]) & set(piece[recording == 1])
+    assert len(np.unique(piece)) == (400 if kind is SplitKind.INTERLEAVED else 21)
+
+
+SEVEN = np.repeat([0, 1, 2, 5, 6, 7, 8], [30, 10, 20, 40, 15, 25, 60])
+
+
+def recordings_of(split, recording):
+    return [set(recording[part].tolist()) for part in (split.train, split.calibration, split.test)]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_recording_is_in_two_parts(seed):
+    split = make_split(SEVEN, "recordings", seed=seed)
+    train, calibration, test = recordings_of(split, SEVEN)
+    assert (len(train), len(calibration), len(test)) == (5, 1, 1)
+    assert train | calibration | test == set(SEVEN.tolist())
+    together = np.concatenate((split.train, split.calibration, split.test))
+    assert sorted(together.tolist()) == list(range(200))
+
+
+@pytest.mark.parametrize(
+    ("n", "shares", "expected"),
+    [
+        (3, {}, (1, 1, 1)),
+        (10, {}, (6, 2, 2)),
+        (10, {"used": 0.4, "calibration": 0.08}, (3, 1, 2)),
+        (4, {"test": 0.49, "calibration": 0.49}, (1, 1, 2)),
+        (4, {"used": 0.2}, (1, 1, 1)),
+        (3, {"test": 0.9, "calibration": 0.05}, (1, 1, 1)),
+    ],
+)
+def test_every_part_gets_a_recording(n, shares, expected):
+    recording = np.repeat(np.arange(n), 5)
+    parts = recordings_of(make_split(recording, "recordings", **shares), recording)
+    assert tuple(len(p) for p in parts) == expected
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_given_split_tests_on_the_list_and_calibrates_on_other_recordings(seed):
+    given_test = np.isin(SEVEN, [1, 5])
+    split = make_split(SEVEN, "given", seed=seed, given_test=given_test)
+    assert split.test.tolist() == np.flatnonzero(given_test).tolist()
+    train, calibration, test = recordings_of(split, SEVEN)
+    assert test == {1, 5}
+    assert (len(train), len(calibration)) == (4, 1)
+    assert train | calibration == {0, 2, 6, 7, 8}
+
+
+def test_shares_of_a_given_split_are_of_the_training_list():
+    recording = np.repeat(np.arange(14), 5)
+    given_test = recording % 2 == 1
+    parts = recordings_of(make_split(recording, "given", given_test=given_test, calibration=0.3), recording)
+    assert [len(p) for p in parts] == [4, 3, 7]
+    half = make_split(recording, "given", given_test=given_test, used=0.4, calibration=0.08)
+    assert [len(p) for p in recordings_of(half, recording)] == [3, 1, 7]
+    assert half.test.tolist() == np.flatnonzero(given_test).tolist()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_share_of_two_training_recordings_is_a_stretch_of_each(seed):
+    recording = np.repeat([0, 1, 2], [120, 80, 50])
+    given_test = recording == 2
+    split = {
+        used: make_split(recording, "given", seed=seed, given_test=given_test, used=used, calibration=0.2 * used)
+        for used in (0.4, 0.8)
+    }
+    assert split[0.4].test.tolist() == split[0.8].test.tolist() == np.flatnonzero(given_test).tolist()
+    assert {used: len(s.train) + len(s.calibration) for used, s in split.items()} == {0.4: 100, 0.8: 200}
+    for part in ("train", "calibration"):
+        less, more = split[0.4].part(part), split[0.8].part(part)
+        assert set(less.tolist()) < set(more.tolist())
+        assert np.all(np.diff(less) == 1)
+
+
+@pytest.mark.parametrize("kind", ["blocks", "recordings", "given"])
+def test_calibration_frames_drawn_at_random_come_from_every_training_recording(kind):
+    from conformodal.io import with_random_calibration
+
+    recording = np.repeat(np.arange(3), 200)
+    split = make_split(recording, kind, seed=4, given_test=recording == 2)
+    drawn = with_random_calibration(split, 0.2)
+    assert drawn.test.tolist() == split.test.tolist()
+    both = np.sort(np.concatenate((split.train, split.calibration)))
+    assert np.sort(np.concatenate((drawn.train, drawn.calibration))).tolist() == both.tolist()
+    assert len(drawn.calibration) == round(0.2 * len(both))
+    for number in np.unique(recording[both]):
+        share = np.isin(both[recording[both] == number], drawn.calibration).mean()
+        assert share == pytest.approx(0.2, abs=0.1)
+
+
+def test_stretches_of_a_lone_training_recording_calibrate():
+    recording = np.repeat([0, 1, 2], [50, 100, 50])
+    split = make_split(recording, "given", seed=1, n_blocks=10, given_test=recording != 1)
+    assert split.test.tolist() == [*range(50), *range(150, 200)]
+    assert sorted([*split.train, *split.calibration]) == list(range(50, 150))
+    stretches = sorted({int(i) // 10 for i in split.calibration})
+    assert len(stretches) == 2
+    assert split.calibration.tolist() == [i for s in stretches for i in range(10 * s, 10 * s + 10)]
+
+
+def test_pieces_of_whole_recordings_and_of_given_lists():
+    recording = np.repeat([4, 2, 9], [3, 4, 2])
+    whole = held_out_together(recording, SplitKind.RECORDINGS)
+    assert whole.tolist() == [1, 1, 1, 0, 0, 0, 0, 2, 2]
+    two = held_out_together(recording, SplitKind.GIVEN, given_test=recording == 4)
+    assert two.tolist() == [2, 2, 2, 0, 0, 0, 0, 1, 1]
+    lone = held_out_together(recording, SplitKind.GIVEN, n_blocks=2, given_test=recording != 2)
+    assert lone.tolist() == [2, 2, 2, 0, 0, 1, 1, 3, 3]
+    with pytest.raises(SplitError, match="none"):
+        held_out_together(recording, SplitKind.GIVEN)
+
+
+def test_frames_to_known_agrees_with_all_pairs():
+    recording = np.repeat([0, 1, 2], [40, 25, 60])
+    split = make_split(recording, "blocks", seed=3)
+    known = np.concatenate((split.train, split.calibration))
+    away = np.abs(split.test[:, None] - known).astype(float)
+    away[recording[split.test][:, None] != recording[known]] = np.inf
+    np.testing.assert_array_equal(frames_to_known(split, recording), away.min(axis=1))
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "match"),
+    [
+        ("random", {}, "interleaved"),
+        ("blocks", {"test": 0.9, "calibration": 0.2}, "leave something to train on"),
+        ("interleaved", {"used": 0.1}, "used"),
+        ("interleaved", {"used": 0.16}, "used"),
+        ("interleaved", {"used": 0.9}, "used"),
+        ("recordings", {}, "at least 3 recordings.*found 1"),
+        ("given", {}, r"TrainSplit\.txt and TestSplit\.txt"),
+        ("given", {"given_test": np.zeros(99, bool)}, r"bool for each of 100 frames, got bool of shape \(99,\)"),
+        ("given", {"given_test": np.zeros(100)}, "got float64"),
+        ("given", {"given_test": np.zeros(100, bool)}, "too few"),
+        ("given", {"given_test": np.ones(100, bool)}, "too few"),
+        ("given", {"given_test": np.arange(100) > 0}, "too few"),
+    ],
+)
+def test_impossible_splits_are_refused(kind, options, match):
+    with pytest.raises(SplitError, match=match):
+        make_split(np.zeros(100, int), kind, **options)
+
+
+def test_too_few_frames_and_unknown_parts_are_refused():
+    with pytest.raises(SplitError, match="too few"):
+        make_split(np.zeros(3, int), "interleaved")
+    with pytest.raises(SplitError, match="part"):
+        make_split(np.zeros(100, int), "blocks").part("validation")
+
+
+def test_an_interleaved_split_has_random_calibration_frames_already():
+    from conformodal.io import with_random_calibration
+
+    split = make_split(np.zeros(100, int), "interleaved")
+    assert with_random_calibration(split, 0.5) is split

@@ -1,0 +1,146 @@
+import json
+import warnings
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from conformodal.geometry import Trajectory
+from conformodal.io import DatasetWarning, Layout, check_recording, read_recording
+from conformodal.io.convert import write_layout
+from conformodal.io.pose_files import write_tum
+from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.video import VideoStream
+from tests.helpers import invoke, refusal, run_ok
+
+NOTES = {"gap": "gap in time", "picture": "the same picture", "scaled": "intrinsics were scaled"}
+
+
+def scene(folder, n=6, lens=True):
+    rng = np.random.default_rng(0)
+    folder.mkdir()
+    for i in range(n):
+        Image.fromarray(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)).save(folder / f"{5 + 0.1 * i:.6f}.png")
+    quats = rng.normal(size=(n, 4))
+    truth = Trajectory(5 + 0.1 * np.arange(n), rng.normal(size=(n, 3)), quats)
+    write_tum(folder / "poses.tum", truth)
+    (folder / "camera-intrinsics.txt").write_text("40 0 32\n0 41 24\n0 0 1\n")
+    if lens:
+        (folder / "camera-distortion.txt").write_text("-0.1 0.02 0.001 0.002\n")
+    return read_recording(folder)
+
+
+def test_seven_scenes_keeps_gaps_by_the_numbers_of_its_frames(tmp_path):
+    before = scene(tmp_path / "a")
+    before.image_paths[2].write_bytes(b"no image")
+    known = before.truth[np.array([0, 1, 2, 4])]
+    done = write_layout(tmp_path / "b", Layout.SEVENSCENES, SequenceStream(before), before.camera, known)
+    assert (done.n_frames, done.n_posed, done.n_unreadable) == (5, 3, 1)
+    (why,) = [note for note in done.notes if note.startswith(f"{before.image_paths[2]}: cannot be decoded")]
+    assert [note for note in done.notes if note != why] == [
+        "left out 1 frame without an image: 5.200000.png",
+        "kept 2 frames without a pose: 5.300000.png, 5.500000.png",
+    ]
+    with pytest.warns(DatasetWarning, match="2 x no pose"):
+        after = read_recording(tmp_path / "b", require_poses=False)
+    assert [path.name[6:12] for path in after.image_paths] == ["000000", "000001", "000003", "000004", "000005"]
+    np.testing.assert_allclose(after.timestamps_s, [0, 0.1, 0.3, 0.4, 0.5], atol=1e-9)
+    np.testing.assert_allclose(after.known_poses.timestamps_s, [0, 0.1, 0.4], atol=1e-9)
+
+
+def test_seven_scenes_says_that_uneven_times_are_lost(tmp_path):
+    before = scene(tmp_path / "a", n=12)
+    times = np.cumsum([0, 0.1, 0.1, 0.13, 0.04, 0.1, 0.17, 0.1, 0.06, 0.1, 0.11, 0.08])
+    moved = replace(before, timestamps_s=times, truth=replace(before.truth, timestamps_s=times))
+    done = write_layout(tmp_path / "b", Layout.SEVENSCENES, SequenceStream(moved), moved.camera, moved.truth)
+    assert done.notes == ["7scenes has no timestamps: they are read back as even, 10.000 Hz"]
+
+
+def test_a_video_becomes_a_data_set(tmp_path):
+    writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
+    for i in range(8):
+        writer.write(np.full((48, 64, 3), 25 * i, np.uint8))
+    writer.release()
+    (tmp_path / "camera-intrinsics.txt").write_text("40 0 32\n0 41 24\n0 0 1\n")
+    poses = Trajectory(0.1 * np.arange(8), np.arange(24.0).reshape(8, 3), np.tile([1.0, 0, 0, 0], (8, 1)))
+    write_tum(tmp_path / "poses.tum", poses)
+    arguments = ["data", "convert", tmp_path / "v.avi", "--out", tmp_path / "set", "--to", "tum"]
+    assert "has no calibration" in refusal(*arguments)
+    run_ok(*arguments, "--poses", tmp_path / "poses.tum", "--camera", tmp_path)
+    found = read_recording(tmp_path / "set")
+    assert len(found) == 8
+    np.testing.assert_allclose(found.truth.positions_xyz, poses.positions_xyz)
+    assert [int(found.image(i).mean()) for i in range(8)] == pytest.approx([25 * i for i in range(8)], abs=2)
+    assert VideoStream(tmp_path / "v.avi").n_frames == 8
+
+
+def test_a_camera_has_no_end_to_convert(tmp_path):
+    assert "has no end" in refusal("data", "convert", "camera:3", "--out", tmp_path / "set")
+
+
+def test_check_finds_what_is_wrong(tmp_path):
+    scene(tmp_path / "a", n=12)
+    paths = sorted((tmp_path / "a").glob("*.png"))
+    paths[3].write_bytes(paths[2].read_bytes())
+    paths[7].write_bytes(b"")
+    for path in paths[9:]:
+        path.rename(path.with_name(f"{float(path.stem) + 2:.6f}.png"))
+    (tmp_path / "a" / "poses.tum").unlink()
+    found = check_recording(read_recording(tmp_path / "a", require_poses=False))
+    assert found.n_frames == 12
+    assert found.n_poses == 0
+    assert found.rate_hz == pytest.approx(10)
+    assert found.duration_s == pytest.approx(3.1)
+    assert {f.what.split(" ")[0]: (f.count, f.first) for f in found.findings}.items() >= {
+        "gap": (1, "7.900000.png"),
+        "the": (1, "5.300000.png"),
+    }.items()
+    assert "5.700000.png" in next(f.first for f in found.findings if "cannot be read" in f.what)
+    result = invoke("data", "check", tmp_path / "a", "--out", tmp_path / "out")
+    assert result.exit_code == 1
+    assert "image cannot be read" in result.output
+    record = json.loads((tmp_path / "out" / "metrics.json").read_text())["check"]
+    assert len(record["findings"]) == 3
+
+
+@pytest.mark.parametrize("what", ["gap", "picture", "scaled"])
+def test_what_is_only_worth_knowing_does_not_fail_a_check(tmp_path, what):
+    before = scene(tmp_path / "a", n=12)
+    folder, paths = tmp_path / "a", sorted((tmp_path / "a").glob("*.png"))
+    (folder / "poses.tum").unlink()
+    if what == "picture":
+        paths[3].write_bytes(paths[2].read_bytes())
+    elif what == "gap":
+        for path in paths[9:]:
+            path.rename(path.with_name(f"{float(path.stem) + 2:.6f}.png"))
+    else:
+        folder = tmp_path / "b"
+        write_layout(folder, Layout.COLMAP, SequenceStream(before), before.camera, before.truth)
+        (folder / "sparse" / "0" / "cameras.txt").write_text("1 PINHOLE 128 96 80 82 64 48\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DatasetWarning)
+        found = check_recording(read_recording(folder, require_poses=False))
+    assert [finding.count for finding in found.findings if finding.what.startswith(NOTES[what])] == [1]
+    result = run_ok("data", "check", folder)
+    assert found.findings[0].what in result.output
+
+
+def test_check_of_a_sound_data_set_says_so(tmp_path):
+    scene(tmp_path / "a")
+    result = run_ok("data", "check", tmp_path / "a")
+    assert "nothing is wrong" in result.output
+    assert "6, all rigid motions" in result.output
+
+
+def test_check_finds_a_jump(tmp_path):
+    n = 40
+    before = scene(tmp_path / "a", n=n)
+    places = np.column_stack((0.02 * np.arange(n), np.zeros(n), np.zeros(n)))
+    places[25:] += 3
+    write_tum(tmp_path / "a" / "poses.tum", Trajectory(before.timestamps_s, places, np.tile([1.0, 0, 0, 0], (n, 1))))
+    (finding,) = check_recording(read_recording(tmp_path / "a")).findings
+    assert finding.count == 1
+    assert finding.what.startswith("position jumps")
+    assert finding.first == f"{5 + 0.1 * 25:.6f}.png"

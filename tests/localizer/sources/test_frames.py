@@ -1,0 +1,125 @@
+"""Which frames the landmarks look at: those that they are fitted on, each once, and no other."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from conformodal.geometry import Trajectory
+from conformodal.io import Recording
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.settings import MAPPING
+from conformodal.localizer.sources.keyframes import LandmarkMap
+from conformodal.localizer.sources.landmarks import LandmarkSource
+from conformodal.localizer.sources.registry import SourceState
+from conformodal.localizer.sources.source_data import SourceData
+
+N = 60
+FRAMES = np.flatnonzero(np.arange(N) % 4 != 1)
+
+
+@pytest.fixture
+def world(world_of):
+    return world_of(n=N)
+
+
+@pytest.fixture
+def looked_at(world, monkeypatch):
+    """Frames whose local features were extracted, in order; a number stands in for an image."""
+    asked, features = [], world.local_features()
+    monkeypatch.setattr(Recording, "image", lambda self, i: i)
+    monkeypatch.setattr(
+        "conformodal.localizer.sources.source_data.frame_features", lambda sequence, i: asked.append(i) or features[i]
+    )
+    # errors learnt from fewer frames: a third of the time
+    monkeypatch.setattr("conformodal.localizer.sources.landmarks.MAPPING", replace(MAPPING, left_out=15))
+    return asked
+
+
+def data_of(poses_se3, camera, depth_m, **settings):
+    quats = Rotation.from_matrix(poses_se3[:, :3, :3]).as_quat(scalar_first=True)
+    times, paths = np.arange(N) / 10, tuple(Path(f"{i}.png") for i in range(N))
+    truth = Trajectory(times, poses_se3[:, :3, 3], quats)
+    sequence = Recording("points", paths, times, np.zeros(N, np.int64), camera, truth)
+    return SourceData(sequence, np.zeros((N, 1), np.float32), np.zeros((N, 7)), quats[0], depth_m=depth_m, **settings)
+
+
+@pytest.mark.slow
+def test_other_frames_are_not_looked_at_and_their_poses_count_nothing(world, looked_at, stated_camera, depth_m):
+    source = LandmarkSource.fit(data_of(world.poses_se3, stated_camera, depth_m), FRAMES)
+    assert sorted(looked_at) == FRAMES.tolist()
+    np.testing.assert_array_equal(source.frames, FRAMES)
+    wrong = world.poses_se3.copy()
+    others = np.setdiff1d(np.arange(N), FRAMES)
+    wrong[others, :3, 3], wrong[others, :3, :3] = 1e9, np.diag([1.0, -1, -1])
+    again = LandmarkSource.fit(data_of(wrong, stated_camera, depth_m), FRAMES)
+    one, other = source.state(), again.state()
+    assert one.settings == other.settings
+    for name, array in one.arrays.items():
+        np.testing.assert_array_equal(array, other.arrays[name])
+
+
+def test_a_stored_source_answers_the_same_to_the_last_bit(world, looked_at, stated_camera, depth_m):
+    source = LandmarkSource.fit(data_of(world.poses_se3, stated_camera, depth_m), FRAMES)
+    state = source.state()
+    settings = json.loads(json.dumps(state.settings))
+    back = LandmarkSource.from_state(SourceState({k: v.copy() for k, v in state.arrays.items()}, settings))
+    images = [world.see(world.poses_se3[i], seed=500 + i) for i in (1, 5, 9)]
+    here, there = (
+        which.answer(FrameEvidence(np.zeros((3, 1), np.float32), images)).measurements for which in (source, back)
+    )
+    assert all(here)
+    for its, others in zip(here, there, strict=True):
+        for one, other in zip(its, others, strict=True):
+            np.testing.assert_equal(vars(one), vars(other))
+
+
+def test_the_networks_map_retrieves_places_where_thumbnails_cannot(
+    world, looked_at, stated_camera, depth_m, monkeypatch
+):
+    """Thumbnails point to the wrong end of the path; a map of 2 by 2 cells with many channels to the right one."""
+    queries = np.arange(1, N, 8)
+    images = [world.see(world.poses_se3[i], seed=500 + i) for i in queries]
+    pictures = [image.global_descriptor for image in images]
+    images = [its._replace(global_descriptor=pictures[-1 - k]) for k, its in enumerate(images)]
+    maps = np.repeat([its.global_descriptor for its in world.local_features()], 4, axis=1)
+    features = np.concatenate((3 * maps, np.zeros((N, 768))), axis=1).astype(np.float32)  # of any length
+
+    def nearest(grid):
+        data = replace(data_of(world.poses_se3, stated_camera, depth_m, grid=grid), features=features)
+        source, found = LandmarkSource.fit(data, FRAMES), []
+        source = LandmarkSource.from_state(source.state())
+        assert source.map.global_descriptors.shape == (len(FRAMES), 768)
+        unmatched = FrameEvidence(np.zeros((2, 1), np.float32))
+        assert source.answer(unmatched).measurements == [[], []]
+        with monkeypatch.context() as patched:
+            patched.setattr(
+                LandmarkMap,
+                "localize",
+                lambda its, image: found.append(its.global_descriptors @ image.global_descriptor) or [],
+            )
+            source.answer(FrameEvidence(features[queries], images))
+        return FRAMES[np.argmax(found, axis=1)]
+
+    assert np.abs(nearest((2, 2)) - queries).max() <= 4
+    assert np.abs(nearest(None) - queries[::-1]).max() <= 4
+
+
+@pytest.mark.slow
+def test_folds_share_images_and_not_maps(world, looked_at, stated_camera, depth_m):
+    """An image of two folds is looked at once; what the first fold knows alone is not in the second's map."""
+    told = []
+    shared = data_of(world.poses_se3, stated_camera, depth_m, progress=lambda *now: told.append(now))
+    LandmarkSource.fit(shared, np.arange(0, 40))
+    second = LandmarkSource.fit(shared, np.arange(20, 60))
+    assert sorted(looked_at) == list(range(60))
+    assert {stage for stage, _, _ in told} == {"local features", "landmarks"}
+    assert told[-1][1] == told[-1][2]
+    alone = LandmarkSource.fit(data_of(world.poses_se3, stated_camera, depth_m), np.arange(20, 60))
+    one, other = second.state(), alone.state()
+    assert one.settings == other.settings
+    for name, array in one.arrays.items():
+        np.testing.assert_array_equal(array, other.arrays[name])

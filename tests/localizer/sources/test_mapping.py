@@ -1,0 +1,320 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from conformodal.features import local as local_features
+from conformodal.features.local import Matcher, match
+from conformodal.geometry import Trajectory
+from conformodal.geometry.adjustment import choose_tracks
+from conformodal.geometry.camera_fit import Matches, fit_camera
+from conformodal.geometry.settings import ADJUSTMENT
+from conformodal.geometry.shutter import NO_FLOW
+from conformodal.geometry.triangulation import Rays, triangulate
+from conformodal.localizer.settings import GUIDING, MAPPING, PNP
+from conformodal.localizer.sources import keyframes, mapping
+from conformodal.localizer.sources.landmarks import LandmarkSource
+from conformodal.localizer.sources.mapping import build_map, view_overlap
+from tests.localizer.sources.conftest import CAMERA, DEPTH, make_world
+
+
+@pytest.fixture(scope="module")
+def mapped():
+    """A world and its map; an image near the middle of the way."""
+    world = make_world()
+    return (
+        world,
+        build_map(world.local_features(), world.poses_se3, CAMERA, DEPTH),
+        world.see(world.poses_se3[30], seed=3),
+    )
+
+
+def errors(estimate, pose):
+    turned = Rotation.from_quat(estimate.orientation_quat_wxyz, scalar_first=True).inv() * Rotation.from_matrix(
+        pose[:3, :3]
+    )
+    return np.linalg.norm(estimate.position_xyz - pose[:3, 3]), turned.magnitude()
+
+
+def test_an_image_between_the_keyframes_is_found(world_of, stated_camera, depth_m):
+    world = world_of()
+    landmarks = build_map(world.local_features()[::2], world.poses_se3[::2], stated_camera, depth_m)
+    off = []
+    for i in range(1, len(world.poses_se3), 2):
+        (estimate,) = landmarks.localize(world.see(world.poses_se3[i], seed=500 + i, wrong=0.3))
+        off.append(errors(estimate, world.poses_se3[i]))
+        assert estimate.n_inliers > 100
+    assert np.median(off, axis=0) == pytest.approx(0, abs=0.004)  # metres and radians
+    assert np.max(off, axis=0) == pytest.approx(0, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("factor", "turn", "place"), [(0.88, (0.01, -0.02, 0.015), (0.03, -0.02, 0.05)), (1.0, (0, 0, 0), (0, 0, 0))]
+)
+def test_the_camera_is_found_from_the_poses(world_of, stated_camera, depth_m, factor, turn, place):
+    world = world_of(factor=factor, turn=turn, place=place)
+    landmarks = build_map(world.local_features(wrong=0.2), world.poses_se3, stated_camera, depth_m)
+    assert landmarks.camera.fx == pytest.approx(factor * stated_camera.fx, rel=0.01)
+    assert Rotation.from_matrix(landmarks.T_pose_cam[:3, :3]).as_rotvec() == pytest.approx(turn, abs=0.003)
+    assert landmarks.T_pose_cam[:3, 3] == pytest.approx(place, abs=0.02)
+    pose = world.poses_se3[7]
+    pose = np.block([[pose[:3, :3], pose[:3, 3:] + 0.05], [np.zeros((1, 3)), 1]])
+    (estimate,) = landmarks.localize(world.see(pose, seed=99))
+    assert errors(estimate, pose) == pytest.approx((0, 0), abs=0.02)
+
+
+def test_a_rolling_shutter_is_found_and_compensated(world_of, stated_camera, depth_m):
+    world, rng, shutter = world_of(), np.random.default_rng(2), np.array([-0.005, 0.02])
+
+    def rolled(image):
+        flow = np.column_stack((rng.normal(0, 0.5, (2, 2)), rng.normal(0, 400, 2)))
+        still = image._replace(flow=flow)
+        return still._replace(pixels=still.at_pose_time(-shutter, stated_camera).pixels)
+
+    landmarks = build_map([rolled(image) for image in world.local_features()], world.poses_se3, stated_camera, depth_m)
+    assert landmarks.shutter == pytest.approx(shutter, abs=0.001)
+    off = {True: [], False: []}
+    for i in range(2, 58, 5):
+        image = rolled(world.see(world.poses_se3[i], seed=800 + i))
+        for known, its in ((True, image), (False, image._replace(flow=NO_FLOW))):
+            off[known].append(errors(landmarks.localize(its)[0], world.poses_se3[i]))
+    assert (np.median(off[True], axis=0) < 0.5 * np.median(off[False], axis=0)).all()
+
+
+def test_a_map_is_adjusted_where_the_given_poses_have_errors_of_their_own(
+    world_of, stated_camera, depth_m, monkeypatch
+):
+    world, rng = world_of(), np.random.default_rng(1)
+    given = world.poses_se3.copy()
+    given[:, :3, 3] += rng.normal(0, 0.03, (len(given), 3))
+    given[:, :3, :3] = given[:, :3, :3] @ Rotation.from_rotvec(rng.normal(0, 0.01, (len(given), 3))).as_matrix()
+    images, off = world.local_features(), {}
+    for rounds in (0, ADJUSTMENT.rounds):
+        monkeypatch.setattr(mapping, "ADJUSTMENT", replace(ADJUSTMENT, rounds=rounds))
+        landmarks = build_map(images, given, stated_camera, depth_m)
+        found = [landmarks.localize(world.see(world.poses_se3[i], seed=700 + i))[0] for i in range(2, 58, 5)]
+        off[rounds] = [errors(one, world.poses_se3[i]) for one, i in zip(found, range(2, 58, 5), strict=True)]
+    assert (np.median(off[ADJUSTMENT.rounds], axis=0) < (0.8, 0.95) * np.median(off[0], axis=0)).all()
+    true = (world.poses_se3 - given)[:, :3, 3]
+    assert np.corrcoef(landmarks.corrections[:, :3].ravel(), true.ravel())[0, 1] > 0.6
+
+
+def test_guided_matching_finds_more_corners_and_makes_poses_more_precise(world_of, stated_camera, depth_m, monkeypatch):
+    world = world_of()
+    landmarks = build_map(world.local_features()[::2], world.poses_se3[::2], stated_camera, depth_m)
+    asked, off, inliers = range(1, 59, 4), {}, {}
+    images = [world.see(world.poses_se3[i], seed=300 + i, wrong=0.3) for i in asked]
+    for least in (10**6, GUIDING.least_inliers):
+        monkeypatch.setattr(keyframes, "GUIDING", replace(GUIDING, least_inliers=least))
+        found = [landmarks.localize(image)[0] for image in images]
+        off[least] = [errors(one, world.poses_se3[i])[0] for one, i in zip(found, asked, strict=True)]
+        inliers[least] = [one.n_inliers for one in found]
+    assert np.median(off[GUIDING.least_inliers]) <= np.median(off[10**6])
+    assert np.median(inliers[GUIDING.least_inliers]) > np.median(inliers[10**6])
+
+
+def test_tracks_share_no_corner_and_see_each_point_from_several_frames():
+    points = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 6], (50, 3))
+    rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0], [-0.5, 0.2, 0], [0, 0.5, 0.1]]), off=0.05)
+    chosen = choose_tracks([(rays, *triangulate(rays, 0.005))], 4, 0.005)
+    np.testing.assert_array_equal(chosen.frame.reshape(-1, 3), [[0, 1, 2]] * len(chosen.points))  # the last is off
+    twice = rays._replace(seen=rays.seen % 8)  # corners of 50 points are said to be those of two
+    assert len(choose_tracks([(twice, *triangulate(rays, 0.005))], 4, 0.005).points) == 2
+
+
+def test_a_clock_that_is_far_off_leaves_the_rest_of_the_fit(world_of, stated_camera, depth_m):
+    world, rng = world_of(factor=1.1), np.random.default_rng(2)
+
+    def late(image):
+        still = image._replace(flow=np.column_stack((rng.normal(0, 0.5, (2, 2)), rng.normal(0, 40, 2))))
+        return still._replace(pixels=still.at_pose_time(np.array([-0.1, 0.0]), stated_camera).pixels)
+
+    landmarks = build_map([late(image) for image in world.local_features()], world.poses_se3, stated_camera, depth_m)
+    assert landmarks.shutter.tolist() == [0, 0]
+    assert landmarks.camera.fx == pytest.approx(550, rel=0.015)
+
+
+def test_few_matches_leave_the_camera_as_it_was(stated_camera):
+    nothing = Matches(np.empty((0, 2), np.int64), np.empty((0, 2, 2)), np.empty((0, 2, 2)))
+    bent = replace(stated_camera, distortion=(0.1, 0.0, 0.0, 0.0))
+    found = fit_camera(nothing, np.empty((0, 4, 4)), bent, 2.0)
+    assert found.camera == stated_camera  # corners come without distortion
+    np.testing.assert_array_equal(found.T_pose_cam, np.eye(4))
+
+
+def test_hidden_keyframes_do_not_help(mapped):
+    _, landmarks, image = mapped
+    assert landmarks.localize(image)
+    assert landmarks.localize(image, np.ones(60, dtype=bool)) == []
+    only = np.ones(60, dtype=bool)
+    only[50] = False
+    (estimate,) = landmarks.localize(image, only)
+    assert estimate.n_inliers < landmarks.localize(image)[0].n_inliers
+
+
+def test_two_places_that_look_alike_give_two_estimates(world_of, stated_camera, depth_m):
+    world = world_of(n=40)
+    shift = np.array([100.0, 0, 0])
+    far = world.poses_se3.copy()
+    far[:, :3, 3] += shift
+    images = world.local_features()
+    landmarks = build_map([*images, *images], np.concatenate((world.poses_se3, far)), stated_camera, depth_m)
+    estimates = landmarks.localize(world.see(world.poses_se3[11], seed=77))
+    assert len(estimates) == 2
+    near = sorted(estimate.position_xyz[0] for estimate in estimates)
+    assert near[1] - near[0] == pytest.approx(100, abs=0.05)
+
+
+def test_corrections_take_off_what_neighbours_are_off_by(mapped):
+    plain, image = replace(mapped[1], corrections=np.zeros((60, 6))), mapped[2]
+    (before,) = plain.localize(image)
+    off = np.array([0.02, -0.01, 0.03, 0.0, 0.01, 0.0])
+    (after,) = replace(plain, corrections=np.tile(off, (60, 1))).localize(image)
+    np.testing.assert_allclose(before.position_xyz - after.position_xyz, off[:3], atol=1e-12)
+    turned = Rotation.from_quat([before.orientation_quat_wxyz, after.orientation_quat_wxyz], scalar_first=True)
+    np.testing.assert_allclose((turned[0] * turned[1].inv()).as_rotvec(), off[3:], atol=1e-12)
+    assert (after.sigma_m, after.sigma_rad) == (before.sigma_m, before.sigma_rad)  # all are off alike
+
+
+def test_an_image_of_something_else_gives_no_estimate(mapped):
+    other = make_world(seed=9)
+    estimates = mapped[1].localize(other.see(other.poses_se3[3]))
+    assert all(estimate.n_inliers < 2 * PNP.min_inliers for estimate in estimates)
+
+
+def rays_to(points, centres, off=0.0):
+    """Rays of all cameras to each point; the last camera's are off."""
+    n, k = len(points), len(centres)
+    apart = points[:, None] - centres
+    plane = apart[..., :2] / apart[..., 2:]
+    plane[:, -1] += off
+    corner, camera = np.repeat(np.arange(n), k), np.tile(np.arange(k), n)
+    return Rays(corner, np.arange(n * k), camera, plane.reshape(-1, 2), np.tile(np.eye(3), (k, 1, 1)), centres)
+
+
+def test_points_are_where_their_rays_meet():
+    points = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 6], (50, 3))
+    centres = np.array([[0.0, 0, 0], [0.5, 0, 0], [-0.5, 0.2, 0], [0, 0.5, 0.1]])
+    found, sound = triangulate(rays_to(points, centres), 0.005)
+    assert sound.all()
+    np.testing.assert_allclose(found, points, atol=1e-6)
+    found, sound = triangulate(rays_to(points, centres, off=0.05), 0.005)  # a match that is wrong in every point
+    np.testing.assert_allclose(found[sound], points[sound], atol=0.02)
+    assert sound.mean() > 0.9
+
+
+def test_a_corner_that_no_other_camera_sees_is_no_point():
+    points = np.array([[0.1, 0, 4.0], [0.2, 0.1, 5], [0, 0.3, 4]])
+    rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0]]))
+    seen = np.array([True, True, True, False, True, True])
+    found, sound = triangulate(
+        rays._replace(**{name: getattr(rays, name)[seen] for name in ("corner", "seen", "camera", "plane")}), 0.005
+    )
+    assert sound.tolist() == [True, False, True]
+    np.testing.assert_allclose(found[[0, 2]], points[[0, 2]], atol=1e-6)
+
+
+def test_points_without_parallax_or_behind_are_not_sound():
+    centres = np.array([[0.0, 0, 0], [0.1, 0, 0]])
+    near = 0.1 / np.tan(1.5 * MAPPING.min_parallax_rad)
+    far = 0.1 / np.tan(0.5 * MAPPING.min_parallax_rad)
+    _, sound = triangulate(rays_to(np.array([[0.0, 0, near], [0, 0, far]]), centres), 0.005)
+    assert sound.tolist() == [True, False]
+    behind = rays_to(np.array([[0.3, 0.1, -2.0]]), centres)  # a ray has no sign on the plane: it meets behind
+    assert not triangulate(behind, 0.005)[1].any()
+
+
+def test_a_shared_matcher_changes_nothing_and_looks_for_no_pair_twice(world_of, stated_camera, depth_m, monkeypatch):
+    world = world_of(n=40)
+    images, part = world.local_features(), slice(None, None, 2)
+    alone = build_map(images[part], world.poses_se3[part], stated_camera, depth_m)
+    asked = []
+    monkeypatch.setattr(local_features, "match", lambda *pair: asked.append(1) or match(*pair))
+    matcher = Matcher()
+    build_map(images, world.poses_se3, stated_camera, depth_m, matcher=matcher)
+    first = len(asked)
+    shared = build_map(images[part], world.poses_se3[part], stated_camera, depth_m, matcher=matcher)
+    second = len(asked) - first
+    np.testing.assert_array_equal(shared.points_xyz, alone.points_xyz)
+    np.testing.assert_array_equal(shared.descriptors, alone.descriptors)
+    asked.clear()
+    build_map(images[part], world.poses_se3[part], stated_camera, depth_m, matcher=Matcher())
+    assert second < 0.9 * len(asked)
+
+
+def test_a_corner_counts_once_although_several_keyframes_match_it(mapped):
+    _, landmarks, image = mapped
+    (near,) = landmarks._retrieve(image.global_descriptor, np.ones(60, dtype=bool))
+    matches = {}
+    landmarks.localize(image, matches=matches)
+    assert sorted(matches) == sorted(near)
+    corners = np.concatenate([pairs[:, 0] for pairs in matches.values()])
+    assert len(corners) > 1.5 * len(np.unique(corners))  # most were matched more than once
+    (found,) = landmarks.localize(image)
+    assert found.n_inliers <= len(image.pixels)
+    assert 0.9 < found.inlier_share <= 1
+    assert 0.5 < found.image_share < 1.5  # points are all over the image
+    half = image.pixels[:, 0] < 320
+    (found,) = landmarks.localize(image._replace(pixels=image.pixels[half], descriptors=image.descriptors[half]))
+    assert found.image_share < 0.7
+
+
+def test_an_estimate_says_how_far_the_nearest_keyframe_is(mapped):
+    _, plain, image = mapped
+    landmarks = replace(plain, corrections=np.zeros((60, 6)))
+    (at,) = landmarks.localize(image)
+    (off,) = landmarks.localize(image, np.abs(np.arange(60) - 30) < 8)
+    assert at.distance_to_known < 0.02 < off.distance_to_known
+
+
+def test_a_frame_sees_what_it_sees_and_nothing_behind_it(stated_camera, depth_m):
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[1, :3, :3] = Rotation.from_rotvec([0, np.pi, 0]).as_matrix()
+    poses[2, 0, 3] = 0.5
+    poses[3, 0, 3] = 1.5
+    shares = view_overlap(poses, 0, stated_camera, depth_m)
+    assert shares[0] == 1
+    assert shares[1] == 0
+    assert 1 > shares[2] > shares[3] > 0
+
+
+@pytest.mark.slow
+def test_estimates_are_sure_where_the_place_is_known_and_another_place_has_none(
+    world_of, stated_camera, depth_m, monkeypatch
+):
+    monkeypatch.setattr(
+        "conformodal.localizer.sources.landmarks.MAPPING", replace(MAPPING, left_out=40)
+    )  # of 80: half the time
+    world = world_of(n=80)
+    times = np.arange(80) / 10
+    quats = Rotation.from_matrix(world.poses_se3[:, :3, :3]).as_quat(scalar_first=True)
+    truth = Trajectory(times, world.poses_se3[:, :3, 3], quats)
+    groups = [np.arange(80), np.arange(80) // 4]
+    frames = np.arange(100, 180)
+    source = LandmarkSource.of(world.local_features(wrong=0.3), truth, groups, stated_camera, depth_m, frames)
+    np.testing.assert_array_equal(source.frames, frames)
+    shown = [
+        one for i in range(5, 75, 7) for one in source.localize(world.see(world.poses_se3[i], seed=900 + i, wrong=0.3))
+    ]
+    assert len(shown) == 10
+    assert min(one.inlier_probability for one in shown) > 0.5
+    other = world_of(n=80, seed=9)  # a place that is not in the map
+    assert [one for i in range(5, 75, 7) for one in source.localize(other.see(other.poses_se3[i], seed=900 + i))] == []
+
+
+def test_a_camera_far_from_the_given_one_is_not_believed(world_of, stated_camera, depth_m):
+    world = world_of(factor=2.2)
+    assert build_map(world.local_features(), world.poses_se3, stated_camera, depth_m).camera == stated_camera
+
+
+def test_claims_grow_as_neighbours_are_off_in_other_ways(mapped):
+    plain, image = replace(mapped[1], corrections=np.zeros((60, 6))), mapped[2]
+    (before,) = plain.localize(image)
+    signs = np.where(np.arange(60) % 2, 1.0, -1.0)[:, None]
+    (after,) = replace(plain, corrections=signs * [0.05, 0, 0, 0, 0.01, 0]).localize(image)
+    mean = before.position_xyz[0] - after.position_xyz[0]  # of plus and minus 0.05, so their variance is known
+    assert abs(mean) < 0.04
+    assert after.sigma_m**2 - before.sigma_m**2 == pytest.approx((0.05**2 - mean**2) / 3, rel=1e-6)
+    turned = (0.05**2 - mean**2) * (0.01 / 0.05) ** 2 / 3
+    assert after.sigma_rad**2 - before.sigma_rad**2 == pytest.approx(turned, rel=1e-6)

@@ -1,0 +1,175 @@
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from conformodal.conformal import QuantileBins, Regions, SplitConformal
+from conformodal.geometry import fix_sign
+from conformodal.localizer.belief import Beliefs, belief_cells, cells_per_bin, on_cells, recognised_only
+from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.fusion import fuse
+from conformodal.localizer.measurement import PoseMeasurement
+from conformodal.localizer.settings import BELIEF
+
+SIGN = np.array([1.0, 0, 0, 0])
+
+
+@pytest.fixture
+def bins():
+    rng = np.random.default_rng(0)
+    quats = Rotation.from_rotvec(0.3 * rng.normal(size=(300, 3))).as_quat(scalar_first=True)
+    return QuantileBins(10).fit(np.column_stack((rng.gamma(2, size=(300, 3)), quats)))
+
+
+def softmaxes(bins, n, seed=1):
+    rng = np.random.default_rng(seed)
+    return [rng.dirichlet(np.ones(k), n).astype(np.float32) for k in bins.sizes]
+
+
+def estimate(place, turn=(0.1, 0.2, -0.1), sigma_m=0.02, sigma_rad=0.01, probability=0.9):
+    quat = Rotation.from_rotvec(turn).as_quat(scalar_first=True)
+    return PoseMeasurement(np.array(place, float), quat, sigma_m, sigma_rad, 50, probability)
+
+
+def mixture(*answers):
+    """Of one mode and of what sources say."""
+    mode = Candidates(np.zeros((1, 3)), np.ones((1, 3)), SIGN[None], np.ones(1), np.zeros(1))
+    return fuse(mode, answers)
+
+
+def beliefs(proba, *mixtures):
+    return Beliefs(proba, mixtures, [[] for _ in mixtures])
+
+
+def marginals(bins, proba, *mixtures, sign=SIGN):
+    return beliefs(proba, *mixtures).marginals(bins, belief_cells(bins), sign)
+
+
+def test_cells_hold_the_edges_of_the_bins_and_reach_beyond(bins):
+    cells = belief_cells(bins)
+    for edges, fine in zip(bins.edges_, cells.edges_, strict=True):
+        assert np.isin(edges, fine).all()
+        reach, widths = np.ptp(edges), np.diff(fine)
+        assert fine[0] < edges[0] - 2 * reach
+        assert fine[-1] > edges[-1] + 2 * reach
+        assert (np.diff(widths[-BELIEF.beyond :]) > 0).all()  # wider the further away
+        np.testing.assert_allclose(widths[: BELIEF.beyond], widths[-BELIEF.beyond :][::-1])
+        assert len(widths) == 800 + 2 * BELIEF.beyond
+    assert cells_per_bin(bins) == 80
+    many = QuantileBins(900).fit(np.linspace(0, 1, 5000))
+    assert belief_cells(many).sizes == [900 + 2 * BELIEF.beyond]
+
+
+def test_regions_over_bins_are_the_same_over_cells(bins):
+    proba = softmaxes(bins, 40)
+    rule = SplitConformal(bins, 0.3, "density").calibrate(
+        proba, np.column_stack([e[3:4].repeat(40) for e in bins.edges_])
+    )
+    alone = rule.predict(proba)
+    fine = Regions(belief_cells(bins), [on_cells(m, bins) for m in alone.masks], alone.unbounded)
+    np.testing.assert_allclose(fine.length, alone.length)
+    np.testing.assert_array_equal(fine.n_intervals, alone.n_intervals)
+
+
+def test_rows_add_up_to_one_whatever_is_believed(bins):
+    far = estimate([1e3, -1e3, 0.0])  # most of it lies beyond the cells
+    three = mixture([estimate([0.5, 1, 1]), far], [estimate([0.51, 1, 1], probability=0.3)])
+    for rows in marginals(bins, softmaxes(bins, 3), mixture(), three, mixture([far])):
+        assert rows.shape == (3, 1400)
+        assert (rows >= 0).all()
+        np.testing.assert_allclose(rows.sum(axis=1), 1, rtol=1e-12)
+
+
+def test_without_estimates_the_softmax_is_spread_evenly(bins):
+    proba, cells = softmaxes(bins, 5), belief_cells(bins)
+    for j, found in enumerate(marginals(bins, proba, *[mixture()] * 5)):
+        inside = (cells.edges_[j][:-1] >= bins.edges_[j][0]) & (cells.edges_[j][1:] <= bins.edges_[j][-1])
+        assert not found[:, ~inside].any()
+        # probabilities of 32 bits add up to one but for their last digit
+        even = np.repeat(proba[j] / 80, 80, axis=1)
+        np.testing.assert_allclose(found[:, inside], even, rtol=1e-6)
+        # the density is that of the bins
+        density = (found / cells.widths[j])[:, inside].reshape(5, bins.sizes[j], -1)
+        np.testing.assert_allclose(
+            density, np.broadcast_to((proba[j] / bins.widths[j])[..., None], density.shape), rtol=1e-5
+        )
+
+
+@pytest.mark.parametrize("probability", [0.05, 0.5, 0.9])
+def test_an_estimate_has_its_probability_and_students_tails(bins, probability):
+    proba, cells = softmaxes(bins, 3), belief_cells(bins)
+    middle = [float(np.median(e)) for e in bins.edges_[:3]]
+    its = estimate(middle, probability=probability)
+    found = marginals(bins, proba, mixture(), mixture([its]), mixture())
+    plain = marginals(bins, proba, *[mixture()] * 3)
+    quat = its.orientation_quat_wxyz
+    # a small rotation moves a unit quaternion by half of its angle, orthogonally to itself
+    scales = [0.02] * 3 + [0.01 / 2 * np.sqrt(1 - q**2) for q in quat]
+    for j, (place, scale) in enumerate(zip([*middle, *quat], scales, strict=True)):
+        np.testing.assert_array_equal(found[j][[0, 2]], plain[j][[0, 2]])
+        mass = np.diff(stats.t(3, place, scale).cdf(cells.edges_[j]))
+        expected = (1 - probability) * plain[j][1] + probability * mass
+        # differences of a distribution function have sixteen digits behind the point, and no more in the tails
+        np.testing.assert_allclose(found[j][1], expected / expected.sum(), rtol=1e-6, atol=1e-15)
+
+
+def test_quaternions_spread_as_small_rotations_spread_them_whatever_their_sign(bins):
+    proba, cells = softmaxes(bins, 1), belief_cells(bins)
+    turn = np.array([0.5, -0.3, 0.2])
+    here = estimate([1.0, 1.0, 1.0], turn=turn, sigma_rad=0.02, probability=0.99)
+    flipped = PoseMeasurement(here.position_xyz, -here.orientation_quat_wxyz, 0.02, 0.02, 50, 0.99)
+    one, other = (marginals(bins, proba, mixture([its])) for its in (here, flipped))
+    rng = np.random.default_rng(0)
+    turns = Rotation.from_rotvec(0.02 * stats.t(3).rvs(size=(200_000, 3), random_state=rng))
+    samples = (Rotation.from_rotvec(turn) * turns).as_quat(scalar_first=True)
+    for j in range(3, 7):
+        np.testing.assert_array_equal(one[j], other[j])
+        cumulative = np.cumsum(one[j][0])
+        for share in (0.25, 0.75):  # quartiles of the belief are those of rotated quaternions
+            at = cells.edges_[j][1:][np.searchsorted(cumulative, share)]
+            spread = np.subtract(*np.quantile(samples[:, j - 3], [0.75, 0.25]))
+            assert abs(at - np.quantile(samples[:, j - 3], share)) < 0.25 * spread + cells.widths[j].max()
+
+
+@pytest.mark.parametrize("sign", [SIGN, -SIGN, np.array([0.0, 0, -1, 0])])
+def test_signs_of_quaternions_are_those_of_the_reference(sign):
+    """An estimate lies where the targets of its frame lie."""
+    bins = QuantileBins.from_edges([np.linspace(-1, 1, 11)] * 7)
+    its = estimate([0, 0, 0], probability=0.99)
+    (place,) = fix_sign(its.orientation_quat_wxyz[None], sign)
+    found = marginals(bins, softmaxes(bins, 1), mixture([its]), sign=sign)
+    for rows, q, edges in zip(found[3:], place, belief_cells(bins).edges_[3:], strict=True):
+        best = int(rows[0].argmax())
+        assert edges[best] <= q <= edges[best + 1]
+
+
+def test_of_several_estimates_of_one_source_at_most_one_is_right(bins):
+    proba, cells = softmaxes(bins, 1), belief_cells(bins)
+    two = [estimate([0.5, 1, 1], probability=0.8, sigma_m=1e-3), estimate([3.0, 1, 1], probability=0.5, sigma_m=1e-3)]
+    found = marginals(bins, proba, mixture(two))[0][0]
+    plain = marginals(bins, proba, mixture())[0][0]
+    centers = cells.centers[0]
+    shares = [found[np.abs(centers - x) < 0.3].sum() for x in (0.5, 3.0)]
+    # odds of 4 : 1 : 1 for the first, the second, and neither
+    without = [plain[np.abs(centers - x) < 0.3].sum() / 6 for x in (0.5, 3.0)]
+    # Student's tails reach beyond 300 standard deviations with a probability of 1e-7
+    assert shares == pytest.approx([4 / 6 + without[0], 1 / 6 + without[1]], abs=1e-6)
+
+
+def test_parts_are_believed_as_the_whole(bins):
+    whole = beliefs(softmaxes(bins, 4), *[mixture([estimate([x, 1, 1])]) for x in (0.5, 1.0, 1.5, 2.0)])
+    assert len(whole) == 4
+    cells = belief_cells(bins)
+    parts = [whole.part(slice(a, b)).marginals(bins, cells, SIGN) for a, b in ((0, 1), (1, 4))]
+    for one, *split in zip(whole.marginals(bins, cells, SIGN), *parts, strict=True):
+        np.testing.assert_array_equal(one, np.concatenate(split))
+
+
+def test_a_place_is_recognised_by_an_estimate_that_is_probably_right():
+    unsure, sure = (
+        estimate([0, 0, 0], probability=BELIEF.recognised - 0.01),
+        estimate([1, 0, 0], probability=BELIEF.recognised),
+    )
+    given = [[], [unsure], [unsure, sure], [sure]]
+    assert Beliefs([], [mixture()] * 4, given).recognised.tolist() == [False, False, True, True]
+    assert [recognised_only(its) for its in given] == [[], [], [sure], [sure]]

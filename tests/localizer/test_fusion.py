@@ -1,0 +1,172 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import norm
+
+from conformodal.geometry import angle_between_quats
+from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.fusion import fuse, inlier_odds
+from conformodal.localizer.measurement import PoseMeasurement
+from conformodal.localizer.settings import BELIEF
+
+
+def quats(*angles):
+    return Rotation.from_rotvec([[0, a, 0] for a in angles]).as_quat(scalar_first=True)
+
+
+def modes(positions, spread=0.1, mass=None, angles=None, turn=0.1):
+    positions = np.atleast_2d(np.asarray(positions, float))
+    n = len(positions)
+    angles = [0.0] * n if angles is None else angles
+    log_mass = np.log(np.full(n, 1 / n) if mass is None else mass)
+    return Candidates(positions, np.full((n, 3), spread), quats(*angles), np.full(n, turn), log_mass)
+
+
+def estimate(position, sigma=0.05, angle=0.0, turn=0.05, probability=0.9):
+    return PoseMeasurement(np.asarray(position, float), quats(angle)[0], sigma, turn, 100, probability)
+
+
+def masses(mixture):
+    return np.exp(mixture.candidates.log_mass)
+
+
+def unmeasured_mass(mixture):
+    """Probability that no estimate is right."""
+    mass = masses(mixture)
+    return mass[~mixture.measured].sum() / mass.sum()
+
+
+def density_together(apart, *spreads):
+    """How well two poses at a distance along x agree, whose errors are normal."""
+    (one, other), (turn, other_turn) = spreads
+    place, facing = np.hypot(one, other), np.hypot(turn, other_turn)
+    return norm.pdf(apart, 0, place) * norm.pdf(0, 0, place) ** 2 * norm.pdf(0, 0, facing) ** 3
+
+
+@pytest.mark.parametrize("answers", [[], [[]], [[], []]])
+def test_an_image_without_estimates_keeps_its_modes(answers):
+    own = modes([[0, 0, 0], [5, 0, 0]])
+    found = fuse(own, answers)
+    assert found.candidates is own
+    assert found.measured.tolist() == [False, False]
+    assert unmeasured_mass(found) == 1
+
+
+@pytest.mark.parametrize("probability", [0.02, 0.3, 0.9, 0.99])
+@pytest.mark.parametrize("position", [[0.1, 0, 0], [4, 0, 0]])
+def test_an_estimate_takes_its_probability_from_the_modes_wherever_it_is(position, probability):
+    """Probabilities are added: that a mode is near makes neither more probable."""
+    found = fuse(modes([[0, 0, 0], [3, 0, 0]], mass=[0.3, 0.7]), [[estimate(position, probability=probability)]])
+    expected = [(0.3 * (1 - probability), 0.0), (0.7 * (1 - probability), 3.0), (probability, position[0])]
+    expected.sort(reverse=True)
+    np.testing.assert_allclose(masses(found), [mass for mass, _ in expected], rtol=1e-12)
+    np.testing.assert_array_equal(found.candidates.positions_xyz[:, 0], [x for _, x in expected])
+    assert unmeasured_mass(found) == pytest.approx(1 - probability, rel=1e-12)
+
+
+@pytest.mark.parametrize(("probability", "counted"), [(1.0, 0.99), (0.0, 0.01)])
+def test_no_estimate_is_right_or_wrong_for_sure(probability, counted):
+    found = fuse(modes([[0, 0, 0]]), [[estimate([4, 0, 0], probability=probability)]])
+    assert masses(found)[found.measured] == pytest.approx(counted)
+
+
+def test_of_one_sources_estimates_at_most_one_is_right():
+    its = [
+        estimate([1, 0, 0], probability=0.8),
+        estimate([2, 0, 0], probability=0.5),
+        estimate([3, 0, 0], probability=0.5),
+    ]
+    none, right = inlier_odds(its)
+    np.testing.assert_allclose(np.exp([none, *right]), np.array([1, 4, 1, 1]) / 7, rtol=1e-12)
+    found = fuse(modes([[0, 0, 0]]), [its])
+    np.testing.assert_allclose(masses(found), [4 / 7, 1 / 7, 1 / 7, 1 / 7], rtol=1e-12)
+    assert found.measured.sum() == 3
+    # near to each other they are not taken together either
+    together = fuse(modes([[0, 0, 0]]), [[estimate([1, 0, 0], probability=0.8), estimate([1, 0, 0], probability=0.5)]])
+    np.testing.assert_allclose(masses(together), [4 / 6, 1 / 6, 1 / 6], rtol=1e-12)
+    np.testing.assert_array_equal(together.candidates.position_spreads[together.measured], 0.05)
+
+
+def test_estimates_of_two_sources_that_agree_are_refined_and_no_more_probable():
+    first, second = estimate([0, 0, 0], 0.2, 0.0, 0.2, 0.9), estimate([0.1, 0, 0], 0.1, 0.1, 0.1, 0.8)
+    found = fuse(modes([[3, 0, 0]]), [[first], [second]])
+    best = found.candidates
+    # the product of two normal densities
+    np.testing.assert_allclose(best.positions_xyz[0], [0.08, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(best.position_spreads[0], 1 / np.sqrt(1 / 0.2**2 + 1 / 0.1**2))
+    assert angle_between_quats(best.orientations_quat_wxyz[0], quats(0.08)[0]) == pytest.approx(0, abs=1e-7)
+    assert best.orientation_spreads_rad[0] == pytest.approx(1 / np.sqrt(1 / 0.2**2 + 1 / 0.1**2))
+    assert (best.position_spreads[0] < min(first.sigma_m, second.sigma_m)).all()
+    # the later source's probability is its own; what the other has is left where that one is wrong
+    np.testing.assert_allclose(masses(found), [0.8, 0.9 * 0.2, 0.1 * 0.2], rtol=1e-6)
+    assert unmeasured_mass(found) == pytest.approx(0.1 * 0.2, rel=1e-6)
+    np.testing.assert_array_equal(best.position_spreads[1:], [[0.2] * 3, [0.1] * 3])
+
+
+def test_of_several_estimates_that_agree_each_refines_by_how_much_it_overlaps():
+    answers = [estimate([0, 0, 0], 0.2, turn=0.1, probability=0.6), estimate([0.5, 0, 0], 0.3, probability=0.6)]
+    far = estimate([5, 0, 0], probability=0.6)
+    found = fuse(modes([[3, 0, 0]]), [[*answers, far], [estimate([0.2, 0, 0], 0.1, probability=0.7)]])
+    near = [density_together(0.2, (0.2, 0.1), (0.1, 0.05)), density_together(0.3, (0.3, 0.1), (0.05, 0.05))]
+    refined = 0.7 * np.array(near) / sum(near)
+    expected = sorted([*refined, *[0.3 * 1.5 / 5.5] * 3, 0.3 / 5.5], reverse=True)
+    np.testing.assert_allclose(masses(found), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.1])
+def test_estimates_agree_up_to_a_distance_in_standard_deviations(angle):
+    """Of position and orientation together; beyond it neither pulls at the other."""
+    along = np.sqrt((BELIEF.agree - angle**2 / 0.005) * (0.2**2 + 0.1**2))
+    first = estimate([0, 0, 0], 0.2)
+    for off, moved in ((0.999, True), (1.001, False)):
+        second = estimate([off * along, 0, 0], 0.1, angle, probability=0.8)
+        found = fuse(modes([[9, 0, 0]]), [[first], [second]]).candidates
+        assert (found.positions_xyz[0, 0] < second.position_xyz[0]) == moved
+        assert (found.position_spreads[0, 0] < 0.1) == moved
+        assert np.exp(found.log_mass[0]) == pytest.approx(0.8)
+
+
+def test_estimates_that_disagree_are_not_moved():
+    first, second = estimate([0, 0, 0], probability=0.6), estimate([4, 0, 0], probability=0.7)
+    found = fuse(modes([[9, 0, 0]]), [[first], [second]])
+    np.testing.assert_array_equal(found.candidates.positions_xyz, [[4, 0, 0], [0, 0, 0], [9, 0, 0]])
+    np.testing.assert_array_equal(found.candidates.position_spreads[:2], 0.05)
+    np.testing.assert_allclose(masses(found), [0.7, 0.6 * 0.3, 0.4 * 0.3], rtol=1e-6)
+    assert found.measured.tolist() == [True, True, False]
+    # another orientation is another pose, however near the place
+    turned = fuse(modes([[9, 0, 0]]), [[first], [estimate([0, 0, 0], angle=2.0, probability=0.7)]])
+    np.testing.assert_allclose(masses(turned), [0.7, 0.6 * 0.3, 0.4 * 0.3], rtol=1e-6)
+    np.testing.assert_array_equal(turned.candidates.orientations_quat_wxyz[:2], quats(2.0, 0.0))
+
+
+def test_modes_of_the_softmax_refine_nothing():
+    near = fuse(modes([[0, 0, 0]]), [[estimate([0, 0, 0])], [estimate([9, 0, 0])]])
+    assert (near.candidates.position_spreads[near.measured] == 0.05).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_masses_add_up_to_one_most_probable_first(seed):
+    rng = np.random.default_rng(seed)
+
+    def some(n):
+        return [
+            estimate(rng.uniform(0, 3, 3), rng.uniform(0.2, 1), probability=rng.uniform(0.2, 0.9)) for _ in range(n)
+        ]
+
+    answers = [some(2), some(3)]
+    found = fuse(modes(rng.uniform(0, 3, (2, 3)), mass=[0.2, 0.3]), answers)
+    # two modes, two estimates, and three that refine one or both of those two or none: none is too improbable to keep
+    assert len(masses(found)) <= 2 + 2 + 3 * 3
+    assert masses(found).sum() == pytest.approx(1, abs=1e-3)  # less those that are dropped
+    assert (np.diff(found.candidates.log_mass) <= 0).all()
+    np.testing.assert_allclose(unmeasured_mass(found), np.exp(sum(inlier_odds(its)[0] for its in answers)), rtol=2e-3)
+    np.testing.assert_allclose(np.linalg.norm(found.candidates.orientations_quat_wxyz, axis=1), 1)
+
+
+def test_two_signs_of_a_quaternion_are_one_rotation():
+    first, second = estimate([0, 0, 0], angle=0.2), estimate([0, 0, 0], angle=0.25)
+    flipped = PoseMeasurement(second.position_xyz, -second.orientation_quat_wxyz, 0.05, 0.05, 100, 0.9)
+    one, other = (fuse(modes([[9, 0, 0]]), [[first], [its]]) for its in (second, flipped))
+    np.testing.assert_allclose(one.candidates.log_mass, other.candidates.log_mass)
+    apart = angle_between_quats(one.candidates.orientations_quat_wxyz, other.candidates.orientations_quat_wxyz)
+    np.testing.assert_allclose(apart, 0, atol=1e-7)

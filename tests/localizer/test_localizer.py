@@ -1,0 +1,139 @@
+"""Sources of one belief, on stand-ins that say what they are told."""
+
+import numpy as np
+import pytest
+
+from conformodal.conformal import QuantileBins
+from conformodal.features.local import LocalFeatures
+from conformodal.localizer.candidates import mode_candidates
+from conformodal.localizer.errors import LocalizationError
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.fusion import fuse
+from conformodal.localizer.localizer import Localizer
+from conformodal.localizer.measurement import PoseMeasurement
+from conformodal.localizer.sources import registry
+from conformodal.localizer.sources.registry import SourceAnswer, register_source
+from tests.localizer.conftest import Told
+
+SIGN = np.array([1.0, 0, 0, 0])
+
+
+Other = type("Other", (Told,), {"name": "other"})
+Local = type("Local", (Told,), {"name": "local", "local": True})
+# what the frames do not allow
+Unable = type("Unable", (Told,), {"name": "unable", "fit": classmethod(lambda cls, data, frames: None)})
+
+
+@pytest.fixture
+def known(monkeypatch):
+    """The stand-ins are known by name, for one test."""
+    monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))
+    for kind in (Told, Other, Local, Unable):
+        register_source(kind)
+
+
+@pytest.fixture
+def bins():
+    return QuantileBins.from_edges([np.linspace(0, 10, 6)] * 3 + [np.linspace(-1, 1, 6)] * 4)
+
+
+def told(kind=Told, frames=(0,), **says):
+    return kind(np.array(frames), SourceAnswer(**says))
+
+
+def estimate(x, probability=0.9):
+    return PoseMeasurement(np.array([x, 5.0, 5.0]), np.array([0.0, 1, 0, 0]), 0.1, 0.1, 20, probability)
+
+
+def softmax(bins, n, seed=0):
+    rng = np.random.default_rng(seed)
+    return [rng.dirichlet(np.ones(k), n) for k in bins.sizes]
+
+
+def images(n):
+    return FrameEvidence(np.zeros((n, 4), np.float32))
+
+
+def test_there_is_a_source_and_all_have_different_names(bins):
+    with pytest.raises(LocalizationError, match="at least one, got"):
+        Localizer((), bins, SIGN)
+    with pytest.raises(LocalizationError, match=r"different names.*'told', 'told'"):
+        Localizer((told(), told()), bins, SIGN)
+    assert Localizer((told(), told(Other)), bins, SIGN).sources[1].name == "other"
+
+
+@pytest.mark.usefixtures("known")
+def test_names_that_are_unknown_or_there_twice_are_refused(data_of):
+    data, frames = data_of(30), np.arange(20)
+    with pytest.raises(LocalizationError, match=r"one of head, .*told.*got 'nobody'"):
+        Localizer.fit(data, frames, ("told", "nobody"))
+    with pytest.raises(LocalizationError, match="different names"):
+        Localizer.fit(data, frames, ("told", "told"))
+
+
+@pytest.mark.usefixtures("known")
+def test_a_source_that_the_frames_do_not_allow_is_left_out(data_of):
+    data, frames = data_of(30), np.arange(5, 25)
+    found = Localizer.fit(data, frames, ("unable", "other", "told"))
+    assert [source.name for source in found.sources] == ["other", "told"]  # in the order that was asked for
+    for source in found.sources:
+        np.testing.assert_array_equal(source.frames, frames)
+    for one, other in zip(found.bins.edges_, data.bins_of(frames).edges_, strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(found.sign_reference, data.sign_reference)
+    with pytest.raises(LocalizationError, match="at least one"):
+        Localizer.fit(data, frames, ("unable",))
+
+
+def test_without_a_softmax_the_training_frames_own_distribution_stands_in(bins):
+    """Bins of equal mass: each is as probable as any other."""
+    source = told(measurements=[[], [estimate(3.0)]])
+    found = Localizer((source,), bins, SIGN).beliefs(images(2))
+    for p, k in zip(found.proba, bins.sizes, strict=True):
+        np.testing.assert_array_equal(p, np.full((2, k), 1 / k))
+    assert found.mixtures[1].measured.sum() == 1
+
+
+def test_one_softmax_is_taken_as_it_is_and_of_several_the_mean(bins):
+    a, b = softmax(bins, 3), softmax(bins, 3, seed=1)
+    silent = told(Local, measurements=[[]] * 3)
+    one = Localizer((silent, told(proba=a)), bins, SIGN).beliefs(images(3))
+    for p, q in zip(one.proba, a, strict=True):
+        np.testing.assert_array_equal(p, q)
+    two = Localizer((told(proba=a), silent, told(Other, proba=b)), bins, SIGN).beliefs(images(3))
+    for p, q, r in zip(two.proba, a, b, strict=True):
+        np.testing.assert_allclose(p, (q + r) / 2, rtol=1e-15)
+
+
+def test_each_image_has_the_mixture_of_its_modes_and_of_its_estimates_in_order_of_the_sources(bins):
+    proba = softmax(bins, 3)
+    first = told(measurements=[[estimate(2.0)], [], [estimate(2.0)]])
+    second = told(Other, measurements=[[], [], [estimate(8.0)]])
+    localizer = Localizer((told(Local, proba=proba), first, second), bins, SIGN)
+    found = localizer.beliefs(images(3))
+    answers = ([[estimate(2.0)], []], [[], []], [[estimate(2.0)], [estimate(8.0)]])
+    for mixture, modes, its in zip(found.mixtures, mode_candidates(proba, bins), answers, strict=True):
+        expected = fuse(modes, its)
+        np.testing.assert_array_equal(mixture.candidates.log_mass, expected.candidates.log_mass)
+        np.testing.assert_array_equal(mixture.candidates.positions_xyz, expected.candidates.positions_xyz)
+        np.testing.assert_array_equal(mixture.measured, expected.measured)
+    assert found.mixtures[2].candidates.positions_xyz[0, 0] == 8.0  # the later one takes precedence
+    for one, other in zip(localizer.marginals(found), found.marginals(bins, localizer.cells, SIGN), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_only_sources_that_look_at_local_features_recognise_places(bins):
+    everywhere = told(measurements=[[estimate(2.0, 0.99)], [estimate(2.0, 0.99)]])
+    local = told(Local, measurements=[[], [estimate(4.0, 0.95), estimate(5.0, 0.2)]])
+    found = Localizer((everywhere, local), bins, SIGN).beliefs(images(2))
+    assert [[one.position_xyz[0] for one in its] for its in found.estimates] == [[], [4.0, 5.0]]
+    assert found.recognised.tolist() == [False, True]
+
+
+def test_evidence_has_local_features_of_all_images_or_of_none():
+    some = LocalFeatures(np.empty((0, 2)), np.empty((0, 32), np.uint8), np.zeros(768, np.float32))
+    features = np.zeros((2, 4), np.float32)
+    assert len(FrameEvidence(features, [some] * 2)) == len(FrameEvidence(features)) == 2
+    for wrong in ([some], [some] * 3):
+        with pytest.raises(LocalizationError, match=f"2 images need as many local features, or none, got {len(wrong)}"):
+            FrameEvidence(features, wrong)

@@ -1,0 +1,171 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from conformodal.features.backbone import coarse_features
+from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.features.onnx_backbone import OnnxBackbone
+from conformodal.features.settings import VisionError
+from conformodal.io import THUMBNAIL
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.novelty import PlaceNovelty
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.store import load_model, save_model
+
+SOMETHING_ELSE = {
+    "noise": np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8),
+    "black": np.zeros((120, 160, 3), np.uint8),
+}
+
+
+@pytest.fixture(scope="module")
+def model(small_world):
+    return load_model(small_world.model)
+
+
+@pytest.fixture(scope="module")
+def features(sequence, model, small_world):
+    paths = [sequence.image_paths[i] for i in model.split.test]
+    return extract_features(paths, model.backbone, FeatureCache(small_world.cache))
+
+
+def seen(model, image):
+    return model.backbone.features_of(image)
+
+
+def kinds_of(model, p):
+    """Of images in which no place is recognised."""
+    return model.rules.kinds(p, np.zeros(len(p), dtype=bool))
+
+
+def test_test_frames_are_known(model, features):
+    """They were held out at random, as every reference frame is from itself: P(p <= u) <= u."""
+    p = model.novelty.p_values(features)
+    assert ((p > 0) & (p <= 1)).all()
+    assert p.max() > 0.9
+    assert len(np.unique(p)) > 0.5 * len(p)
+    for u in (0.05, 0.1, 0.2, 0.5):
+        assert (p <= u).sum() <= stats.binom.ppf(0.999, len(p), u)
+    assert (kinds_of(model, p) == EvidenceType.UNKNOWN).mean() < 0.05
+    assert model.rules.level == 0.015
+    np.testing.assert_array_equal(model.novelty.test.groups, model.split.train)  # every training frame by itself
+
+
+@pytest.mark.parametrize("what", SOMETHING_ELSE)
+def test_other_content_has_the_least_p_value(model, what):
+    p = model.novelty.p_values(seen(model, SOMETHING_ELSE[what]))
+    assert p == model.novelty.test.least_p == 1 / (len(model.split.train) + 1)
+
+
+@pytest.mark.parametrize("what", SOMETHING_ELSE)
+def test_a_stream_says_that_it_does_not_know_a_place_and_goes_on(model, sequence, what):
+    odometry = VisualOdometry(model)
+    first = odometry.step(sequence.image(50), 1.0)
+    assert first.evidence is not EvidenceType.UNKNOWN
+    lost = odometry.step(SOMETHING_ELSE[what], 1.1)
+    assert lost.evidence is EvidenceType.UNKNOWN
+    assert lost.region.unbounded.all()
+    assert not lost.reliable
+    assert "like no place that is known" in lost.problem
+    assert lost.known_p == pytest.approx(model.novelty.matched.least_p)
+    # the pose is where the camera can have come to, as far as it knows, and less sure
+    reach = model.prior.reach_m(0.1)
+    away = np.linalg.norm(lost.pose.positions_xyz - first.pose.positions_xyz)
+    assert away <= reach + lost.position_spread_m
+    assert away < 0.5
+    assert lost.position_spread_m > first.position_spread_m
+    assert lost.orientation_spread_rad > first.orientation_spread_rad
+    again = odometry.step(sequence.image(51), 1.2)
+    assert again.evidence is not EvidenceType.UNKNOWN
+    assert not again.region.unbounded.all()
+
+
+def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
+    p, strict = model.novelty.p_values(features), replace(model)
+    strict.set_novelty_level(0.2)
+    np.testing.assert_array_equal(kinds_of(strict, p) == EvidenceType.UNKNOWN, p <= 0.2)
+    known = model.rules.known_p > np.where(model.rules.recognised, 0.1, 0.2)
+    assert strict.rules.both.n_units == known.sum()
+    save_model(strict, tmp_path)
+    assert load_model(tmp_path).rules.level == 0.2
+    strict.set_novelty_level(0.0)
+    assert (kinds_of(strict, p) != EvidenceType.UNKNOWN).all()
+    assert model.rules.level == 0.015
+    for level in (-0.1, 1.0, np.nan):
+        with pytest.raises(OdometryError, match="novelty_level"):
+            strict.set_novelty_level(level)
+
+
+def test_a_model_that_cannot_tell_takes_all_for_known(model, features):
+    blind = replace(model, novelty=None)
+    blind.set_novelty_level(0.3)
+    assert blind.rules.level == 0
+    with pytest.raises(OdometryError, match="looks at local features"):
+        blind.localize(FrameEvidence(features))
+    found = replace(blind, rules=replace(blind.rules, recognised=None), quality=None).localize(FrameEvidence(features))
+    np.testing.assert_array_equal(found.known_p, np.nan)
+    assert found.known.all()
+    assert PlaceNovelty.fit(features, np.zeros(len(features), np.int64), model.novelty.grid) is None
+
+
+GRID = (6, 8)
+
+
+def made_features(rng, n, grid=GRID, channels=4):
+    """Features of n pictures that are not like each other, rounded as a backbone rounds them."""
+    made = rng.normal(size=(n, channels * grid[0] * grid[1] + THUMBNAIL[0] * THUMBNAIL[1]))
+    return made.astype(np.float16).astype(np.float32)
+
+
+@pytest.mark.parametrize("n", [99, 700])
+def test_a_camera_that_stands_still_sees_what_is_known(n):
+    picture = made_features(np.random.default_rng(0), 1)
+    known = PlaceNovelty.fit(np.repeat(picture, n, axis=0), np.arange(n), GRID)
+    assert known.p_values(picture) == 1
+    np.testing.assert_array_equal(known.p_values(np.repeat(picture, 300, axis=0)), 1)
+
+
+def test_repeated_pictures_keep_the_guarantee():
+    rng, level, n = np.random.default_rng(1), 0.05, 60
+    pictures = made_features(rng, 8)
+    found = []
+    for _ in range(300):
+        drawn = rng.integers(0, len(pictures), n + 1)
+        known = PlaceNovelty.fit(pictures[drawn[:-1]], np.arange(n), GRID)
+        found.append(known.p_values(pictures[drawn[-1:]])[0] <= level)
+    assert sum(found) <= stats.binom.ppf(0.999, len(found), level)
+
+
+@pytest.mark.parametrize("grid", [(3, 4), (12, 4), (1, 1), (5, 7)])
+def test_the_descriptor_follows_the_grid_of_its_network(grid):
+    rows, columns = grid
+    features = made_features(np.random.default_rng(2), 5, grid)
+    found = coarse_features(features, grid)
+    maps = features[:, : 4 * rows * columns].reshape(5, 4, rows, columns)
+    expected = [
+        maps[:, :, i : i + 2, j : j + 2].mean(axis=(2, 3)) for i in range(0, rows, 2) for j in range(0, columns, 2)
+    ]
+    np.testing.assert_allclose(found, np.stack(expected, axis=2).reshape(5, -1), rtol=1e-5, atol=1e-6)
+
+
+def test_a_stored_test_has_the_grid_of_its_network(model, tmp_path):
+    other = replace(model.backbone.config, grid=(12, 4))  # as many cells as the default
+    moved = replace(model, backbone=OnnxBackbone(other, model.backbone.content))
+    save_model(moved, tmp_path)
+    assert load_model(tmp_path).novelty.grid == (12, 4)
+
+
+def test_features_that_no_map_of_the_grid_has_are_refused():
+    with pytest.raises(VisionError, match="7 by 9"):
+        coarse_features(made_features(np.random.default_rng(3), 2), (7, 9))
+
+
+@pytest.mark.parametrize(("level", "recognised"), [(0.9, 0.45), (1e-6, 0.0)])
+def test_a_recognised_place_is_tested_at_half_the_level_if_a_p_value_can_be_as_small(small_world, level, recognised):
+    model = load_model(small_world.model)
+    model.rules = replace(model.rules, level=level)
+    assert model.recognised_level == recognised

@@ -1,0 +1,177 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from conformodal.geometry import Submap, Trajectory, angle_between_quats
+from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.errors import ReasoningError
+from conformodal.localizer.observations import Observations
+from conformodal.localizer.orientations import smooth_orientations
+from conformodal.localizer.prior import fit_motion_prior
+from conformodal.localizer.smoother import smooth_positions
+from tests.localizer.flights import PRIOR, ambiguous, exact_motions, path
+
+
+def test_observations_that_do_not_belong_together_are_refused():
+    t, positions, rotations = path(3)
+    candidates = ambiguous(positions, rotations)
+    with pytest.raises(ReasoningError, match="1 motions"):
+        Observations(candidates, [None], t)
+    with pytest.raises(ReasoningError, match="0 candidates"):
+        Observations([], [], t[:0])
+    with pytest.raises(ReasoningError, match=r"increase.*frames 1, 2"):
+        Observations(candidates, [None] * 3, t[[0, 1, 1]])
+    with pytest.raises(ReasoningError, match="one value per frame, 3, got 2"):
+        Observations(candidates, [None] * 3, t, known=np.array([True, False]))
+
+
+def test_smoothing_improves_on_noise():
+    rng = np.random.default_rng(1)
+    t, positions, rotations = path(200)
+    motions = exact_motions(positions, rotations)
+    motions[50] = None
+    truth = Trajectory(t, positions, rotations.as_quat(scalar_first=True))
+    noisy_q = (Rotation.from_rotvec(rng.normal(size=(200, 3)) * 0.03) * rotations).as_quat(scalar_first=True)
+    noisy_p = positions + rng.normal(size=(200, 3)) * 0.1
+    noisy_p[100] += 3  # one wrong mode
+    q = smooth_orientations(noisy_q, np.full(200, 0.03), motions, t, PRIOR)
+    p = smooth_positions(noisy_p, np.full((200, 3), 0.1), q, t, PRIOR)
+
+    def rms(x):
+        return np.sqrt(np.mean(x**2))
+
+    before_q = angle_between_quats(noisy_q, truth.orientations_quat_wxyz)
+    assert rms(angle_between_quats(q, truth.orientations_quat_wxyz)) < 0.4 * rms(before_q)
+    error = np.linalg.norm(p - positions, axis=1)
+    assert rms(error) < 0.09  # 0.17 before, without the outlier
+    assert error[100] < 0.4
+
+
+def test_smoothing_keeps_what_is_exact_and_short():
+    t, positions, rotations = path(30)
+    quats = rotations.as_quat(scalar_first=True)
+    motions = exact_motions(positions, rotations)
+    same = smooth_orientations(quats, np.full(30, 0.02), motions, t, PRIOR)
+    np.testing.assert_allclose(angle_between_quats(same, quats), 0, atol=1e-6)
+    assert smooth_orientations(quats[:1], np.ones(1), motions[:1], t[:1], PRIOR).shape == (1, 4)
+    assert smooth_positions(positions[:2], np.ones((2, 3)), quats[:2], t[:2], PRIOR).shape == (2, 3)
+    with pytest.raises(ReasoningError, match="positive"):
+        smooth_positions(positions, np.zeros((30, 3)), quats, t, PRIOR)
+
+
+def test_a_fine_answer_is_not_given_up_for_missing_its_claim_a_wrong_one_is():
+    t, positions, rotations = path(60)
+    quats = rotations.as_quat(scalar_first=True)
+    calm = replace(PRIOR, acceleration_density=(0.005, 0.005))
+    off, spreads = positions.copy(), np.full((60, 3), 0.001)
+    off[20, 0] += 0.02  # a jerk: twenty times the claim, but little beside a depth of two metres
+    off[40, 0] += 0.5
+    found, blind = (smooth_positions(off, spreads, quats, t, prior) for prior in (replace(calm, depth_m=2.0), calm))
+    assert blind[20, 0] - positions[20, 0] < 0.01 < 0.015 < found[20, 0] - positions[20, 0]
+    assert abs(found[40, 0] - positions[40, 0]) < 0.01
+
+
+def test_prior_learns_speeds_and_turns():
+    t = np.arange(400) * 0.1
+    circle = np.column_stack((2 * np.cos(0.5 * t), 2 * np.sin(0.5 * t), 0 * t))
+    quats = Rotation.from_rotvec(np.column_stack((0 * t, 0 * t, 0.5 * t))).as_quat(scalar_first=True)
+    prior = fit_motion_prior(Trajectory(t, circle, quats), np.zeros(400, int))
+    assert prior.turn_rate_rad_s == pytest.approx(0.5, rel=0.01)
+    assert prior.reach_m(0.1) == pytest.approx(0.11, rel=0.01)  # 1 m/s and a tenth more
+    assert (np.diff(prior.intervals_s) > 0).all()
+    with pytest.raises(ReasoningError, match="three frames"):
+        fit_motion_prior(Trajectory(t[:2], circle[:2], quats[:2]), np.zeros(2, int))
+
+
+DEPTH = 2.0
+DEEP = replace(PRIOR, depth_m=DEPTH, depth_spread=0.2)
+
+
+def exact_submaps(positions, rotations, span=15, hop=7, depth=DEPTH, sigma=0.01):
+    """Submaps of the exact path, each in a unit of its own."""
+    found = []
+    for k, start in enumerate(range(0, len(positions) - span + 1, hop)):
+        frames = np.arange(start, start + span, 2)
+        unit = 0.3 + 0.1 * k
+        relative = rotations[start].inv() * rotations[frames]
+        places = rotations[start].inv().apply(positions[frames] - positions[start]) / unit
+        found.append(Submap(frames, relative.as_matrix(), places, depth / unit, sigma, np.radians(0.5)))
+    return found
+
+
+def rms(error):
+    return np.sqrt(np.mean(np.sum(error**2, axis=1)))
+
+
+def test_submaps_carry_a_path_through_answers_that_err_for_long():
+    t, positions, rotations = path(43)
+    quats = rotations.as_quat(scalar_first=True)
+    noisy = positions + np.random.default_rng(0).normal(size=positions.shape) * 0.02
+    noisy[12:24] += [0.3, -0.2, 0.1]  # twelve frames that are all off the same way
+    spreads = np.full(noisy.shape, 0.03)
+    alone = smooth_positions(noisy, spreads, quats, t, DEEP)
+    together = smooth_positions(noisy, spreads, quats, t, DEEP, exact_submaps(positions, rotations))
+    assert rms(alone - positions) > 0.15
+    assert rms(together - positions) < 0.35 * rms(alone - positions)
+
+
+def test_exact_answers_stay_and_tell_the_length():
+    t, positions, rotations = path(29)
+    quats = rotations.as_quat(scalar_first=True)
+    submaps = exact_submaps(positions, rotations, depth=1.2 * DEPTH)  # depths lead to expect a longer path
+    found = smooth_positions(positions, np.full((29, 3), 0.001), quats, t, DEEP, submaps)
+    assert rms(found - positions) < 0.005
+
+
+@pytest.mark.parametrize("depth", [0.5 * DEPTH, DEPTH])
+def test_where_answers_say_nothing_depths_tell_the_length(depth):
+    """All frames are answered with one place, so only the depths to expect keep the path from shrinking to it."""
+    t, positions, rotations = path(15)
+    quats = rotations.as_quat(scalar_first=True)
+    lost = np.tile(positions.mean(axis=0), (15, 1))
+    submaps = exact_submaps(positions, rotations, depth=depth, sigma=0.001)
+    found = smooth_positions(lost, np.full((15, 3), 5.0), quats, t, DEEP, submaps)
+    extent, truth = (np.linalg.norm(p[-1] - p[0]) for p in (found, positions))
+    assert extent / truth == pytest.approx(DEPTH / depth, rel=0.1)
+
+
+def test_an_orientation_that_is_off_does_not_bend_what_answers_say():
+    t, positions, rotations = path(29)
+    off = Rotation.from_rotvec([0, 0, np.radians(8)]) * rotations
+    submaps = exact_submaps(positions, rotations)
+    found = smooth_positions(positions, np.full((29, 3), 0.002), off.as_quat(scalar_first=True), t, DEEP, submaps)
+    assert rms(found - positions) < 0.01
+
+
+def test_without_depths_to_expect_submaps_turn_but_do_not_place():
+    t, positions, rotations = path(29)
+    quats = rotations.as_quat(scalar_first=True)
+    unknown = replace(DEEP, depth_m=np.nan, depth_spread=np.nan)
+    noisy = positions + np.random.default_rng(0).normal(size=positions.shape) * 0.05
+    submaps = exact_submaps(positions, rotations)
+    arguments = noisy, np.full(noisy.shape, 0.05), quats, t
+    np.testing.assert_array_equal(smooth_positions(*arguments, unknown, submaps), smooth_positions(*arguments, unknown))
+    assert np.abs(smooth_positions(*arguments, DEEP, submaps) - smooth_positions(*arguments, DEEP)).max() > 1e-3
+
+
+def test_submaps_turn_orientations_that_err_for_long():
+    t, positions, rotations = path(43)
+    truth = rotations.as_quat(scalar_first=True)
+    turned = Rotation.from_rotvec(np.where((np.arange(43) // 9 == 2)[:, None], [0.0, 0.3, 0.0], 0.0)) * rotations
+    quats, spreads = turned.as_quat(scalar_first=True), np.full(43, 0.05)
+    submaps = exact_submaps(positions, rotations)
+    alone = smooth_orientations(quats, spreads, [None] * 43, t, DEEP)
+    together = smooth_orientations(quats, spreads, [None] * 43, t, DEEP, submaps)
+    error = [np.sqrt(np.mean(angle_between_quats(q, truth) ** 2)) for q in (alone, together)]
+    assert error[1] < 0.5 * error[0]
+
+
+def test_submaps_of_other_frames_are_refused():
+    t, positions, rotations = path(15)
+    (submap,) = exact_submaps(positions, rotations)
+    one = Candidates(np.zeros((1, 3)), np.ones((1, 3)), np.array([[1.0, 0, 0, 0]]), np.ones(1), np.zeros(1))
+    Observations([one] * 15, [None] * 15, t, [submap])
+    with pytest.raises(ReasoningError, match="not one of 14 frames"):
+        Observations([one] * 14, [None] * 14, t[:14], [submap])

@@ -1,0 +1,194 @@
+"""Every pose source: which frames it looks at, that it can be stored, and that others can be added."""
+
+import json
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from conformodal.localizer.errors import LocalizationError
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.localizer import Localizer
+from conformodal.localizer.measurement import PoseMeasurement
+from conformodal.localizer.sources import registry
+from conformodal.localizer.sources.head import HeadSource
+from conformodal.localizer.sources.neighbours.source import NeighbourSource
+from conformodal.localizer.sources.registry import SourceAnswer, SourceState, find_source, register_source
+from conformodal.pipeline.errors import ModelFileError, OdometryError
+from conformodal.pipeline.store import load_model, save_model
+
+GLOBAL = (HeadSource, NeighbourSource)
+
+
+def same_answers(one, other):
+    """Whether two answers are the same to the last bit."""
+    assert (one.proba is None) == (other.proba is None)
+    for p, q in zip(one.proba or [], other.proba or [], strict=True):
+        np.testing.assert_array_equal(p, q)
+    assert [len(its) for its in one.measurements] == [len(its) for its in other.measurements]
+    for its, others in zip(one.measurements, other.measurements, strict=True):
+        for a, b in zip(its, others, strict=True):
+            for name in PoseMeasurement.__dataclass_fields__:
+                np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def same_states(one, other):
+    assert one.settings == other.settings
+    assert one.arrays.keys() == other.arrays.keys()
+    for name in one.arrays:
+        np.testing.assert_array_equal(one.arrays[name], other.arrays[name])
+        assert one.arrays[name].dtype == other.arrays[name].dtype
+
+
+def stored(source):
+    """What comes back from the disk: arrays, and settings that went through JSON."""
+    state = source.state()
+    arrays = {name: np.ascontiguousarray(array).copy() for name, array in state.arrays.items()}
+    return type(source).from_state(SourceState(arrays, json.loads(json.dumps(state.settings))))
+
+
+def test_a_name_belongs_to_one_kind(monkeypatch):
+    monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))
+    assert register_source(HeadSource) is HeadSource  # the same class again is no other
+
+    class Impostor:
+        name = "head"
+        local = False
+
+    with pytest.raises(LocalizationError, match="pose source 'head' already: HeadSource"):
+        register_source(Impostor)
+    assert find_source("head") is HeadSource
+    with pytest.raises(LocalizationError, match="one of head, landmarks, neighbours, got 'Head'"):
+        find_source("Head")
+    for name in ("", "head.x", "a b", "1", "a/b"):  # which could name another source's arrays
+        with pytest.raises(LocalizationError, match="must be of letters"):
+            register_source(type("Odd", (HeadSource,), {"name": name}))
+
+
+@pytest.mark.parametrize("wrong", [np.nan, 1e9])
+@pytest.mark.parametrize("kind", GLOBAL)
+def test_a_source_looks_at_its_own_frames_and_at_no_other(data_of, spoilt, kind, wrong):
+    data = data_of()
+    frames = np.flatnonzero(np.arange(240) % 5 != 0)
+    clean, poisoned = (kind.fit(its, frames) for its in (data, spoilt(data, frames, wrong)))
+    np.testing.assert_array_equal(clean.frames, frames)
+    same_states(clean.state(), poisoned.state())
+    queries = FrameEvidence(data.features[::7])
+    same_answers(clean.answer(queries), poisoned.answer(queries))
+    # and the frames are not the same by chance: others say something else
+    fewer = kind.fit(data, frames[:-20])
+    assert any(not np.array_equal(v, fewer.state().arrays[k]) for k, v in clean.state().arrays.items() if k != "frames")
+
+
+@pytest.mark.parametrize("kind", GLOBAL)
+def test_folds_share_their_data_and_not_what_they_learn(data_of, kind):
+    """What is worked out once for all sources is kept by the frames that it comes from."""
+    data = data_of()
+    one, other = np.arange(0, 160), np.arange(80, 240)
+    kind.fit(data, one)
+    same_states(kind.fit(data, other).state(), kind.fit(data_of(), other).state())
+
+
+@pytest.mark.parametrize("kind", GLOBAL)
+def test_a_stored_source_answers_the_same(data_of, kind):
+    data = data_of()
+    source = kind.fit(data, np.arange(160))
+    back = stored(source)
+    assert isinstance(back, kind)
+    same_states(source.state(), back.state())
+    queries = FrameEvidence(data.features[160:])
+    found = source.answer(queries)
+    assert bool(found.proba) == (kind is HeadSource)
+    assert any(found.measurements) == (kind is NeighbourSource)
+    same_answers(found, back.answer(queries))
+
+
+@pytest.mark.parametrize("kind", GLOBAL)
+def test_answers_do_not_depend_on_what_else_is_asked(data_of, kind):
+    data = data_of()
+    source = kind.fit(data, np.arange(160))
+    whole = source.answer(FrameEvidence(data.features[160:]))
+    alone = source.answer(FrameEvidence(data.features[170:171]))
+    for p, q in zip(whole.proba or [], alone.proba or [], strict=True):
+        np.testing.assert_allclose(p[10:11], q, rtol=1e-5)  # of 32 bits, summed in another order
+    for its, others in zip(whole.measurements[10:11], alone.measurements, strict=True):
+        assert len(its) == len(others)
+        for a, b in zip(its, others, strict=True):
+            np.testing.assert_allclose(a.position_xyz, b.position_xyz, atol=1e-4)
+
+
+@pytest.mark.parametrize("spread", [0.7, 0.0])
+def test_a_head_learns_from_order_aware_labels_or_from_one_hot_ones(data_of, monkeypatch, spread):
+    labels = []
+
+    def keep(features, targets, *others, **options):
+        labels.append(targets)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("conformodal.features.heads.fit_head", keep)
+    data = data_of(60, sigma_bins=spread)
+    with pytest.raises(KeyboardInterrupt):
+        HeadSource.fit(data, np.arange(60))
+    assert ((labels[0] == 0) | (labels[0] == 1)).all() == (spread == 0)
+
+
+@dataclass(frozen=True, eq=False)
+class MeanSource:
+    """Says of every image that it was taken in the middle of all that it has seen."""
+
+    name: ClassVar[str] = "mean-of-the-tests"
+    local: ClassVar[bool] = False
+
+    place: np.ndarray
+    frames: np.ndarray
+    probability: float
+
+    @classmethod
+    def fit(cls, data, frames):
+        return cls(data.targets[frames].mean(axis=0), frames, 0.25)
+
+    def answer(self, evidence):
+        quat = self.place[3:] / np.linalg.norm(self.place[3:])
+        one = PoseMeasurement(self.place[:3], quat, 0.5, 0.5, 1, self.probability)
+        return SourceAnswer(measurements=[[one]] * len(evidence))
+
+    def state(self):
+        return SourceState({"place": self.place, "frames": self.frames}, {"probability": self.probability})
+
+    @classmethod
+    def from_state(cls, state):
+        return cls(state.arrays["place"], state.arrays["frames"], state.settings["probability"])
+
+
+def test_a_source_of_ones_own_is_fitted_believed_saved_and_loaded(data_of, small_world, tmp_path, monkeypatch):
+    monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))  # known in this test alone
+    assert register_source(MeanSource) is MeanSource  # also a decorator
+    data, frames = data_of(100), np.arange(80)
+    localizer = Localizer.fit(data, frames, ("head", MeanSource.name))
+    evidence = FrameEvidence(data.features[80:])
+    beliefs = localizer.beliefs(evidence)
+    for mixture in beliefs.mixtures:
+        own, masses = mixture.candidates.positions_xyz[mixture.measured], np.exp(mixture.candidates.log_mass)
+        np.testing.assert_array_equal(own, data.targets[frames, :3].mean(axis=0)[None])
+        assert masses[~mixture.measured].sum() / masses.sum() == pytest.approx(
+            0.75, rel=1e-2
+        )  # but for modes too improbable to keep
+    model = load_model(small_world.model)
+    with pytest.raises(OdometryError, match="no source uses them"):
+        replace(model, localizer=localizer)
+    rules = replace(model.rules, recognised=None, disturbed=None)
+    model = replace(model, localizer=localizer, rules=rules, quality=None)
+    save_model(model, tmp_path)
+    back = load_model(tmp_path).localizer
+    assert [type(source) for source in back.sources] == [HeadSource, MeanSource]
+    for one, other in zip(localizer.sources, back.sources, strict=True):
+        same_answers(one.answer(evidence), other.answer(evidence))
+    np.testing.assert_array_equal(back.frames, frames)
+    again = back.beliefs(evidence)
+    for one, other in zip(localizer.marginals(beliefs), back.marginals(again), strict=True):
+        np.testing.assert_array_equal(one, other)
+    # where the class is not known, the model cannot be read, and the name says why
+    monkeypatch.delitem(registry._KINDS, MeanSource.name)
+    with pytest.raises(ModelFileError, match=f"got '{MeanSource.name}'"):
+        load_model(tmp_path)

@@ -1,0 +1,211 @@
+from types import SimpleNamespace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from conformodal.conformal import QuantileBins
+from conformodal.features.extract import FeatureCache
+from conformodal.geometry import Trajectory
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import Support
+from conformodal.localizer.settings import FILTER
+from conformodal.localizer.sources import registry
+from conformodal.localizer.sources.registry import SourceAnswer, register_source
+from conformodal.pipeline import calibrate as calibrating
+from conformodal.pipeline.calibrate import calibrate_regions, compare_sources
+from conformodal.pipeline.config import Calibration, ModelConfig
+from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.folds import Fold, Folds
+from conformodal.pipeline.train import prepare_training_data, train_model
+from tests.localizer.conftest import Told
+
+BINS = QuantileBins.from_edges([np.linspace(-4, 4, 21)] * 7)
+
+
+class SeesAll(Told):
+    """A source that looks at every frame that has a pose, whatever it is given."""
+
+    name: ClassVar[str] = "sees-all"
+
+    @classmethod
+    def fit(cls, data, frames):
+        return cls(np.arange(len(data.targets)))
+
+    def answer(self, evidence):
+        return SourceAnswer(measurements=[[]] * len(evidence))
+
+
+@pytest.mark.parametrize("calibrate_on", [Calibration.FRAMES, Calibration.STRETCHES])
+def test_a_source_is_not_calibrated_on_frames_that_it_has_seen(sequence, small_world, calibrate_on, monkeypatch):
+    monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))  # known in this test alone
+    register_source(SeesAll)
+    config = ModelConfig(alpha=0.2, sources=(SeesAll.name,), calibrate_on=calibrate_on)
+    data = prepare_training_data(sequence, config, FeatureCache(small_world.cache))
+    with pytest.raises(OdometryError, match=r"pose source 'sees-all' has seen frame \d+, and (\d+) of the \1 frames"):
+        train_model(data, config)
+
+
+def hypothesis_at(targets, cells):
+    return Support(None, cells.encode(np.clip(targets, -3.9, 3.9)[None]), np.zeros(1))
+
+
+class Recognises:
+    """Beliefs that are the same for all images; in some, a place is recognised."""
+
+    sources = ()
+    local = True
+    cells = QuantileBins.from_edges([np.linspace(-4, 4, 41)] * 7)
+
+    def __init__(self, recognised):
+        self.recognised = recognised
+
+    def beliefs(self, evidence):
+        recognised = self.recognised[: len(evidence)]
+        return SimpleNamespace(recognised=recognised, recognition=50.0 * recognised)
+
+    def supports(self, beliefs):
+        return [hypothesis_at(np.zeros(7), self.cells)] * len(beliefs.recognised)
+
+    def marginals_by_part(self, beliefs):
+        n = len(beliefs.recognised)
+        yield slice(0, n), [np.full((n, 40), 1 / 40)] * 7
+
+
+@pytest.mark.parametrize(
+    ("n_frames", "n_recognised", "joint"),
+    [(100, 60, "max"), (100, 100, "bonferroni"), (140, 70, "bonferroni"), (140, 68, "max"), (100, 5, "bonferroni")],
+)
+def test_one_threshold_per_target_needs_enough_frames_of_each_evidence_type(n_frames, n_recognised, joint):
+    """At alpha / 7 a type needs 69 frames; with 60 of 100 recognised, one threshold for all targets is finite."""
+    rng = np.random.default_rng(0)
+    data = SimpleNamespace(
+        features=np.zeros((n_frames + 20, 2), dtype=np.float32),
+        targets=rng.uniform(-1, 1, (n_frames + 20, 7)),
+        local_features=lambda frames: [None] * len(frames),
+        bins_of=lambda frames: Recognises.cells,
+    )
+    order = np.arange(n_frames + 20)
+    folds = Folds([Fold(order[:20], order[20:])], order[:20], None, order)
+    config = ModelConfig(joint="bonferroni", score="lac")
+    rules = calibrate_regions(data, folds, [Recognises(np.arange(n_frames) < n_recognised)], None, config).rules
+    assert rules.overall.joint == joint
+    kinds = np.array([EvidenceType.UNMATCHED, EvidenceType.LANDMARKS])
+    assert np.isfinite(rules.thresholds(kinds)).all()
+
+
+class Claims:
+    """Normal beliefs with errors of one size that claim another; an image's features are its targets."""
+
+    sources = ()
+    local = False
+    cells = QuantileBins.from_edges([np.linspace(-8, 8, 161)] * 7)
+
+    def __init__(self, error, claimed):
+        self.error, self.claimed = error, claimed
+
+    def beliefs(self, evidence):
+        rng = np.random.default_rng(int(1e6 * np.abs(evidence.features).sum()))
+        noise = rng.normal(0, self.error, (len(evidence), 7))
+        none = np.zeros(len(evidence), dtype=bool)
+        return SimpleNamespace(means=evidence.features + noise, recognised=none, recognition=0.0 * none)
+
+    def supports(self, beliefs):
+        return [hypothesis_at(mean, self.cells) for mean in beliefs.means]
+
+    def marginals_by_part(self, beliefs):
+        edges = self.cells.edges_[0]
+        mass = np.diff(norm.cdf((edges - beliefs.means[..., None]) / self.claimed), axis=-1)
+        mass /= mass.sum(axis=-1, keepdims=True)
+        yield slice(0, len(beliefs.means)), list(mass.transpose(1, 0, 2))
+
+
+@pytest.mark.parametrize(("claimed", "too_sure"), [(0.5, True), (0.8, False)])
+def test_smaller_errors_that_claim_half_the_spread_are_reported(claimed, too_sure):
+    """A final model with 20 % smaller errors keeps the guarantee only if it claims no smaller spread than it has."""
+    targets = np.random.default_rng(0).uniform(-2, 2, (400, 7))
+    data = SimpleNamespace(features=targets, targets=targets, bins_of=lambda frames: BINS)
+    order, parts = np.arange(280), np.arange(280) // 56
+    folds = Folds([Fold(order[parts != k], order[parts == k]) for k in range(5)], order, np.arange(400) // 7, order)
+    localizers = [Claims(1.0, 1.0)] * 5
+    rules = calibrate_regions(data, folds, localizers, None, ModelConfig(score="hpd")).rules
+    found = compare_sources(data, localizers, Claims(0.8, claimed), None, rules, np.arange(280, 400))
+    assert found.n_frames == 120
+    by_model, by_folds = found.covered
+    assert by_folds > 0.85
+    assert (by_model < 0.85) == too_sure
+    assert found.too_sure == too_sure
+    assert found.larger > 0.5 or not too_sure
+    assert f"hold {by_model:.3f} of the poses" in found.describe()
+
+
+class ToldBeliefs:
+    """Beliefs about frames `rows`, to which posteriors add nothing."""
+
+    def __init__(self, rows):
+        self.rows, self.mixtures = rows, [SimpleNamespace(candidates=None)] * len(rows)
+
+    def part(self, rows):
+        return ToldBeliefs(self.rows[rows])
+
+    def after(self, posteriors):
+        assert len(posteriors) == len(self.rows)
+        return self
+
+
+@pytest.mark.parametrize("by_stretch", [False, True])
+def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monkeypatch):
+    lengths = (1000, 100, 40, 14, 6)
+    unit, n = np.repeat(np.arange(5), lengths), sum(lengths)
+    score = np.arange(n) / n  # tells the frame
+    quats = np.tile([1.0, 0, 0, 0], (n, 1))
+    posterior, windows = SimpleNamespace(lost=False), []
+
+    class Seen(SimpleNamespace):
+        def part(self, rows):
+            return SimpleNamespace(n=len(self.candidates[rows]))
+
+    def window(seen, forward):
+        windows.append((seen.n, len(forward)))
+        return SimpleNamespace(first=lambda prior: posterior)
+
+    stubs = {
+        "Observations": lambda candidates, motions, times, known: Seen(candidates=candidates, timestamps_s=times),
+        "filter_posteriors": lambda seen, prior: [posterior] * len(seen.candidates),
+        "hindsight_posteriors": lambda seen, prior, forward: forward,
+        "Window": window,
+        "choose_places": lambda its, t, prior: (Trajectory(t, np.zeros((len(t), 3)), quats[: len(t)]), np.ones(len(t))),
+        "same_place": lambda *its: np.ones(len(its[1]), dtype=bool),
+        "score_beliefs": lambda rule, localizer, beliefs, targets: np.repeat(score[beliefs.rows, None], 7, axis=1),
+    }
+    for name, stub in stubs.items():
+        monkeypatch.setattr(calibrating, name, stub)
+    truth = Trajectory(np.arange(n), np.zeros((n, 3)), quats)
+    sequence = SimpleNamespace(recording=unit, timestamps_s=truth.timestamps_s, require_truth=lambda: truth)
+    localizer = SimpleNamespace(cells=BINS, supports=lambda its: [SimpleNamespace(out_of_range=False)] * len(its.rows))
+    groups, every = unit if by_stretch else None, np.ones(n, dtype=bool)
+    rules = SimpleNamespace(
+        overall=SimpleNamespace(alpha=0.1, groups_=groups, bins=BINS),
+        known=every,
+        recognised=every,
+    )
+    folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), groups, unit)
+    its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
+    motions = dict.fromkeys(range(n))
+    paths, _ = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions)
+    rule, lag = paths["lagged"], FILTER.lag
+    assert set(windows) == {(lag + 1, lag + 1)}
+    frames = np.rint(rule.scores_[:, 0] * n).astype(int)
+    assert len(np.unique(frames)) == len(frames)
+    followers = np.cumsum(lengths)[unit] - 1 - np.arange(n)
+    assert (followers[frames] >= lag).all()
+    counts = np.bincount(unit[frames], minlength=5)
+    if by_stretch:
+        assert counts.tolist() == [40, 40, 30, 4, 0]  # all that have followers, or 200 / 5
+        np.testing.assert_array_equal(rule.groups_, unit[frames])
+        assert [float(w) for w in rule.weights] == (1 / counts[unit[frames]]).tolist()
+    else:
+        assert counts.tolist() == [173, 18, 7, 3, 0]  # 200 in proportion to the lengths
+        assert rule.groups_ is None
+    assert len(paths["online"].scores_) == len(paths["hindsight"].scores_) == n

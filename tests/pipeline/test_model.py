@@ -1,0 +1,217 @@
+import json
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from conformodal.conformal import SplitConformal, coverage_band
+from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.features.local import extract_local_features
+from conformodal.features.networks.torch_backbone import TorchBackbone
+from conformodal.features.settings import TrainingConfig
+from conformodal.io import Disturbance, read_sevenscenes
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.radius import Guarantee, PoseRadius
+from conformodal.localizer.region_rules import EvidenceType, RegionRules
+from conformodal.localizer.targets import pose_targets
+from conformodal.pipeline.config import ModelConfig, config_of
+from conformodal.pipeline.errors import ModelFileError, OdometryError
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.evaluate import coverage_table
+from conformodal.pipeline.results.statistics import RegionStatistics
+from conformodal.pipeline.store import load_model, save_model
+from conformodal.pipeline.train import prepare_training_data, train_model
+
+
+@pytest.fixture(scope="module")
+def model(small_world):
+    return load_model(small_world.model)
+
+
+def test_a_saved_model_gives_the_same_answers(model, sequence, small_world, tmp_path):
+    save_model(model, tmp_path / "copy")
+    back = load_model(tmp_path / "copy")
+    frames = model.split.test[:4]
+    features = extract_features(
+        [sequence.image_paths[i] for i in frames], model.backbone, FeatureCache(small_world.cache)
+    )
+    local = [
+        extract_local_features(sequence.image(i) // np.uint8(10 if i == frames[0] else 1), model.camera) for i in frames
+    ]
+    here, there = (which.localize(FrameEvidence(features, local)) for which in (model, back))
+    for a, b in zip(here.beliefs.proba, there.beliefs.proba, strict=True):
+        np.testing.assert_array_equal(a, b)
+    for a, b in zip(here.candidates, there.candidates, strict=True):
+        np.testing.assert_array_equal(a.positions_xyz, b.positions_xyz)
+        np.testing.assert_array_equal(a.log_mass, b.log_mass)
+    np.testing.assert_array_equal(here.regions.length, there.regions.length)
+    np.testing.assert_array_equal(here.known_p, there.known_p)
+    np.testing.assert_array_equal(here.kinds, there.kinds)
+    for one, other in zip(model.localizer.sources, back.localizer.sources, strict=True):
+        assert one.name == other.name
+        np.testing.assert_array_equal(one.frames, other.frames)
+    np.testing.assert_array_equal(model.calibration.thresholds_, back.calibration.thresholds_)
+    for part in ("train", "calibration", "test"):
+        np.testing.assert_array_equal(model.split.part(part), back.split.part(part))
+    assert back.prior == model.prior
+    assert back.camera == model.camera
+    assert back.configuration == {**model.configuration, "sources": list(model.configuration["sources"])}
+
+
+@pytest.mark.slow
+@pytest.mark.trained
+def test_regions_of_disturbed_images_are_calibrated_on_disturbed_ones(model, sequence, small_world):
+    """Test frames that are disturbed as calibration frames were: exchangeable with them, so coverage has a law."""
+    noisy, frames = replace(sequence, noise=Disturbance(seed=5)), model.split.test
+    cache = FeatureCache(small_world.cache)
+    features = extract_features([sequence.image_paths[i] for i in frames], model.backbone, cache, noise=noisy.noise)
+    local = [extract_local_features(noisy.image(i), model.camera) for i in frames]
+    found = model.localize(FrameEvidence(features, local))
+    out = model.quality.left_by(np.array([its.quality for its in local]))
+    assert out.sum() > 10
+    assert set(found.kinds[out]) <= {EvidenceType.DISTURBED, EvidenceType.UNKNOWN}
+    assert not (found.kinds[~out] == EvidenceType.DISTURBED).any()
+    told = found.kinds == EvidenceType.DISTURBED
+    assert np.isfinite(found.regions.length[told]).all()
+    assert told.sum() > 5
+    held = found.regions.contains(pose_targets(sequence.truth[frames], model.sign_reference), joint=True)[told]
+    low, _ = coverage_band(model.rules.of[EvidenceType.DISTURBED].n_units, int(told.sum()), model.alpha)
+    assert low <= held.mean()  # thresholds are no smaller than those of the band
+
+
+@pytest.mark.parametrize("alpha", [0.3, "0.3", Fraction(3, 10)])
+def test_alpha_has_one_form_before_and_after_saving(small_world, tmp_path, alpha):
+    model = load_model(small_world.model)
+    assert [rule.alpha for rule in model.rules.of.values()] == [0.2] * len(model.rules.of)
+    model.recalibrate(alpha)
+    model.set_novelty_level(0.25)
+    save_model(model, tmp_path)
+    for one in (model, load_model(tmp_path)):
+        for held in (one.calibration.alpha, one.alpha, one.settings["alpha"], one.configuration.get("alpha", 0.3)):
+            assert held == 0.3
+            assert isinstance(held, float)
+        assert one.settings["novelty_level"] == one.configuration.get("novelty_level", 0.25) == 0.25
+        assert config_of(one.settings).alpha == 0.3
+
+
+def test_no_source_has_seen_a_frame_that_calibrates_or_tests(model):
+    held_out = np.concatenate((model.split.calibration, model.split.test))
+    for source in model.localizer.sources:
+        assert not np.isin(held_out, source.frames).any()
+
+
+@pytest.mark.parametrize("limit", [0.25, np.inf])
+def test_a_radius_is_saved_with_its_model(model, tmp_path, limit):
+    radius = PoseRadius(limit, 0.1, Guarantee.FRAME, "smoothed", 9, metres_per_rad=3.0)
+    save_model(replace(model, radius=radius), tmp_path)
+    back = load_model(tmp_path).radius
+    assert back == radius
+    assert back.radius_m == 3 * limit
+
+
+def edit_json(change):
+    def spoil(folder):
+        path = folder / "model.json"
+        record = json.loads(path.read_text())
+        change(record)
+        path.write_text(json.dumps(record))
+
+    return spoil
+
+
+def flip_a_bit(folder):
+    path = folder / "weights.safetensors"
+    content = bytearray(path.read_bytes())
+    content[-5] ^= 1
+    path.write_bytes(bytes(content))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "match"),
+    [
+        (flip_a_bit, r"weights\.safetensors.*digest differs"),
+        (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
+        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-19'"),
+        (lambda f: (f / "model.json").write_text("{"), r"model\.json.*no JSON"),
+        (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
+        (lambda f: (f / "model.json").unlink(), r"model\.json.*no saved model"),
+        (lambda f: (f / "weights.safetensors").unlink(), r"weights\.safetensors.*cannot be read"),
+    ],
+)
+def test_altered_models_are_refused(model, tmp_path, spoil, match):
+    save_model(model, tmp_path)
+    spoil(tmp_path)
+    with pytest.raises(ModelFileError, match=match):
+        load_model(tmp_path)
+
+
+def test_a_model_of_other_backbone_weights_is_refused(model, tmp_path, monkeypatch):
+    in_torch = TorchBackbone(model.backbone.config)
+    save_model(replace(model, backbone=in_torch), tmp_path)
+    assert load_model(tmp_path).backbone.fingerprint == in_torch.fingerprint
+    monkeypatch.setattr(in_torch, "_identity", b"other")
+    save_model(replace(model, backbone=in_torch), tmp_path)
+    with pytest.raises(ModelFileError, match="another version"):
+        load_model(tmp_path)
+
+
+@pytest.mark.parametrize(("joint", "score"), [("max", "density"), ("none", "linear_density"), ("max", "hpd")])
+def test_every_joint_and_score_survives_saving_and_reasoning(sequence, small_world, tmp_path, joint, score):
+    data = prepare_training_data(sequence, ModelConfig(), FeatureCache(small_world.cache))
+    config = ModelConfig(alpha=0.2, joint=joint, score=score, sources=("head",), training=TrainingConfig(epochs=2))
+    trained = train_model(data, config)
+    save_model(trained, tmp_path)
+    back = load_model(tmp_path)
+    np.testing.assert_array_equal(trained.calibration.thresholds_, back.calibration.thresholds_)
+    run = VisualOdometry(back).process(sequence, back.split.test[:15], cache=FeatureCache(small_world.cache))
+    statistics = RegionStatistics.of(run.regions, sequence.require_truth()[back.split.test[:15]], back.sign_reference)
+    table = coverage_table(statistics, back, exchangeable=True)
+    assert (table["joint_band_99"] is not None) == (joint == "max")
+    assert all("band_99" in row for row in table["targets"].values()) == (joint != "max")
+
+
+def test_recalibration_nests_regions(model, sequence, small_world):
+    cache = FeatureCache(small_world.cache)
+    odometry = VisualOdometry.load(small_world.model)
+    frames = model.split.test[:20]
+    wide = odometry.process(sequence, frames, cache=cache).regions
+    odometry.model.recalibrate(0.6)
+    narrow = odometry.process(sequence, frames, cache=cache).regions
+    assert (narrow.length <= wide.length).all()
+    assert narrow.length.sum() < wide.length.sum()
+
+
+def test_unreadable_files_are_left_out_and_told(sequence, small_world, tmp_path):
+    import shutil
+
+    shutil.copytree(small_world.folder, tmp_path / "copy")
+    copy = read_sevenscenes(tmp_path / "copy")
+    copy.image_paths[12].write_bytes(b"no image")
+    run = VisualOdometry.load(small_world.model).process(copy, np.arange(10, 16))
+    assert run.frames.tolist() == [10, 11, 13, 14, 15]
+    assert "frame-000012" in run.unreadable[12]
+    for i in (20, 21):
+        copy.image_paths[i].unlink()
+    with pytest.raises(OdometryError, match="none of 2 frames"):
+        VisualOdometry.load(small_world.model).process(copy, np.array([20, 21]))
+
+
+@pytest.mark.parametrize("local", [True, False])
+def test_what_stretches_calibrate_survives_saving(model, tmp_path, local):
+    """Scores per unit of a target have scales of their own, and frames the stretches' labels."""
+    rng, cells = np.random.default_rng(0), model.calibration.bins
+    groups, recognised = np.repeat(np.arange(20), 4), np.tile([True, True, True, False], 20)
+
+    shift, scale = rng.normal(size=7), rng.uniform(1, 2, 7)
+    overall = SplitConformal(cells, 0.2, "linear_density", "max")
+    overall.rule.loc_, overall.rule.scale_ = shift, scale
+    overall.calibrate_scores(rng.normal(size=(80, 7)), groups)
+    rules = RegionRules(overall, recognised if local else None, rng.random(80), 0.1)
+    save_model(replace(model, rules=rules, path_rules={}), tmp_path)
+    back, kinds = load_model(tmp_path).rules, np.array(list(EvidenceType))
+    np.testing.assert_array_equal(back.thresholds(kinds), rules.thresholds(kinds))
+    assert np.isfinite(rules.thresholds(kinds[1:3] if local else kinds[:1])).all()
+    np.testing.assert_array_equal(back.recognised, rules.recognised)
+    np.testing.assert_array_equal(back.overall.groups_, groups)
+    np.testing.assert_array_equal(back.overall.thresholds_, overall.thresholds_)

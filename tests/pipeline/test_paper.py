@@ -1,0 +1,120 @@
+"""The paper's system: what it is, what it is not, and that it answers a stream as it answers a sequence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from conformodal.conformal import SplitConformal
+from conformodal.features.extract import FeatureCache
+from conformodal.features.settings import TrainingConfig
+from conformodal.geometry import angle_between_quats
+from conformodal.localizer.sources.head import HeadSource
+from conformodal.pipeline.config import Calibration, Method, ModelConfig
+from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.paper_odometry import PaperOdometry, odometry_of
+from conformodal.pipeline.store import load_model, save_model
+from conformodal.pipeline.train import prepare_training_data, train_model
+
+
+@pytest.fixture(scope="module")
+def data(sequence, small_world):
+    return prepare_training_data(sequence, ModelConfig.paper(), FeatureCache(small_world.cache))
+
+
+@pytest.fixture(scope="module")
+def model(data):
+    return train_model(data, ModelConfig.paper(alpha=0.2, training=TrainingConfig(epochs=20)))
+
+
+@pytest.mark.parametrize("split", ["given", "blocks"])
+def test_its_calibration_frames_are_drawn_from_all_training_recordings(sequence, small_world, split):
+    n = len(sequence)
+    recording = np.arange(n) * 3 // n
+    three = replace(sequence, recording=recording, given_test=recording == 2)
+    config = ModelConfig.paper(alpha=0.2, split=split, training=TrainingConfig(epochs=3))
+    data = prepare_training_data(three, config, FeatureCache(small_world.cache))
+    parts = data.split.train, data.split.calibration
+    assert len(parts[1]) == pytest.approx(0.2 * sum(len(part) for part in parts), abs=1)
+    if split == "given":
+        assert [set(recording[part].tolist()) for part in parts] == [{0, 1}, {0, 1}]
+    assert (np.diff(parts[1]) > 1).mean() > 0.5  # single frames, not stretches
+    trained = train_model(data, config)
+    found = odometry_of(trained).process(three, data.split.test[:20], cache=FeatureCache(small_world.cache))
+    assert not found.regions.unbounded.all(axis=1).any()
+
+
+def head_of(model):
+    return model.localizer.find(HeadSource).head
+
+
+def proba_of(model, features):
+    return head_of(model).predict_proba(features)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"margin": 0.02},
+        {"sigma_bins": 0.7},
+        {"score": "density"},
+        {"joint": "max"},
+        {"sources": ("head", "neighbours")},
+        {"novelty_level": 0.1},
+        {"calibrate_on": Calibration.STRETCHES},
+    ],
+)
+def test_what_the_paper_does_not_have_is_refused(settings):
+    with pytest.raises(OdometryError, match=f"no settings .*{next(iter(settings))}"):
+        ModelConfig.paper(**settings)
+
+
+def test_features_are_the_whole_networks_averaged_over_the_image(data, model):
+    assert data.features.shape == (len(data.sequence), 1280 + 32 * 24)
+    assert not head_of(model).projection.components[1280:].any()  # the thumbnail counts nothing
+    assert head_of(model).projection.components.ndim == 1  # no projection: standardised features
+
+
+def test_each_dimension_is_calibrated_by_itself_and_cuboids_are_the_product(data, model):
+    held_out = data.split.calibration
+    own = SplitConformal(model.bins, 0.2).calibrate(proba_of(model, data.features[held_out]), data.targets[held_out])
+    np.testing.assert_array_equal(own.thresholds_, model.calibration.thresholds_)
+    proba = proba_of(model, data.features[data.split.test])
+    for one, other in zip(own.predict(proba).masks, model.calibration.predict(proba).masks, strict=True):
+        np.testing.assert_array_equal(one, other)
+    for p, q, mask in zip(proba, own.thresholds_, model.calibration.predict(proba).masks, strict=True):
+        np.testing.assert_array_equal(mask, 1 - p <= q)
+
+
+def test_a_stream_has_the_answers_of_a_sequence(model, sequence, small_world):
+    frames = np.arange(20, 32)
+    run = PaperOdometry(model).process(sequence, frames, cache=FeatureCache(small_world.cache))
+    stream = PaperOdometry(model)
+    for t, i in enumerate(frames.tolist()):
+        found = stream.step(sequence.image(i), sequence.timestamps_s[i])
+        if i in model.split.calibration:  # a threshold is one of their scores: rounding decides on the bin
+            continue
+        np.testing.assert_allclose(found.pose.positions_xyz[0], run.trajectory.positions_xyz[t], atol=1e-4)
+        assert angle_between_quats(found.pose.orientations_quat_wxyz, run.trajectory.orientations_quat_wxyz[t]) < 1e-4
+        assert found.reliable == run.reliable[t]
+    assert run.answer == "greedy"
+    assert set(run.trajectories) == {"greedy"}
+
+
+def test_it_is_saved_and_loaded(model, data, tmp_path):
+    save_model(model, tmp_path)
+    back = load_model(tmp_path)
+    assert back.method is Method.PAPER
+    assert back.backbone.fingerprint == model.backbone.fingerprint
+    proba = proba_of(model, data.features[:5]), proba_of(back, data.features[:5])
+    for one, other in zip(*proba, strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(back.calibration.thresholds_, model.calibration.thresholds_)
+
+
+def test_neither_system_runs_the_others_models(model, small_world):
+    with pytest.raises(OdometryError, match="PaperOdometry runs it"):
+        VisualOdometry(model)
+    with pytest.raises(OdometryError, match="VisualOdometry runs it"):
+        PaperOdometry(load_model(small_world.model))

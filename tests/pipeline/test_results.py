@@ -1,0 +1,85 @@
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import conformodal
+from conformodal.geometry import Trajectory
+from conformodal.io.pose_files import read_tum
+from conformodal.io.pose_text import TrajectoryFileError
+from conformodal.pipeline.errors import ResultsError
+from conformodal.pipeline.results.provenance import provenance, source_revision
+from conformodal.pipeline.results.records import read_region_records, records_contain, records_hold
+from conformodal.pipeline.results.runs import read_metrics
+
+
+def record(**parts):
+    names = ("x", "y", "z", "q_w", "q_x", "q_y", "q_z")
+    return {"timestamp_s": 0.0, "intervals": {n: parts.get(n, [[None, None]]) for n in names}}
+
+
+def test_stored_intervals_hold_what_they_should():
+    truth = Trajectory(np.zeros(1), np.array([[1.0, 2.0, 3.0]]), np.array([[-1.0, 0, 0, 0]]))
+    reference = np.array([1.0, 0, 0, 0])
+    parts = record(x=[[0.0, 0.5], [0.9, 1.0]], y=[[2.1, 3.0]], z=[], q_w=[[0.9, 1.0]])
+    assert records_contain([parts], truth, reference).tolist() == [[True, False, False, True, True, True, True]]
+
+
+def test_a_region_of_places_holds_a_pose_in_one_of_its_boxes():
+    truth = Trajectory(
+        np.arange(3.0), np.array([[0.5, 0, 0], [5.5, 0, 0], [0.5, 9, 0]]), np.tile([1.0, 0, 0, 0], (3, 1))
+    )
+    reference = np.array([1.0, 0, 0, 0])
+    box, other = [[0.0, 1.0], *[[-1.0, 1.0]] * 6], [[5.0, 6.0], [8.0, 9.0], *[[-1.0, 1.0]] * 5]
+    rest = {name: [[-1.0, 1.0]] for name in ("z", "q_w", "q_x", "q_y", "q_z")}
+    records = [record(x=[[0.0, 1.0], [5.0, 6.0]], y=[[-1.0, 1.0], [8.0, 9.0]], **rest)] * 3
+    places = [{"p": 0.6, "box": box}, {"p": 0.3, "box": other}]
+    assert records_hold(records, truth, reference).tolist() == [True, True, True]
+    records = [{**one, "places": places} for one in records]
+    assert records_hold(records, truth, reference).tolist() == [True, False, False]
+    unbounded = [{**record(), "places": [{"p": 1.0, "box": [[None, None]] * 7}]}] * 3
+    assert records_hold(unbounded, truth, reference).all()
+
+
+def test_missing_results_are_named(tmp_path):
+    with pytest.raises(ResultsError, match=r"regions\.jsonl"):
+        read_region_records(tmp_path / "regions.jsonl")
+    (tmp_path / "metrics.json").write_text("[]")
+    with pytest.raises(ResultsError, match="expected an object"):
+        read_metrics(tmp_path)
+    with pytest.raises(TrajectoryFileError, match=r"trajectory\.tum"):
+        read_tum(tmp_path / "trajectory.tum")
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
+def test_a_changed_source_is_dirty_and_a_result_just_written_is_no_change(tmp_path):
+    def git(*arguments):
+        name = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
+        return subprocess.run(
+            ["git", *name, *arguments], cwd=tmp_path, check=True, capture_output=True, text=True
+        ).stdout
+
+    assert source_revision(tmp_path) is None
+    source, result = tmp_path / "source.py", tmp_path / "benchmarks" / "results" / "table.md"
+    result.parent.mkdir(parents=True)
+    source.write_text("1")
+    result.write_text("1")
+    git("init", "-q")
+    assert source_revision(tmp_path) is None  # nothing committed yet
+    git("add", ".")
+    git("commit", "-qm", "first")
+    commit = git("rev-parse", "HEAD")[:12]
+    assert source_revision(tmp_path) == commit
+    result.write_text("2")
+    assert source_revision(tmp_path) == commit
+    source.write_text("2")
+    assert source_revision(tmp_path) == f"{commit}-dirty"
+
+
+def test_the_revision_is_that_of_the_checkout_which_the_package_lies_in():
+    root = Path(__file__).resolve().parents[2]
+    assert (root / "src" / "conformodal" / "__init__.py").samefile(conformodal.__file__)
+    assert provenance()["source_revision"] == source_revision(root)
+    assert (source_revision(root) is None) == (shutil.which("git") is None or not (root / ".git").exists())

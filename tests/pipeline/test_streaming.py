@@ -1,0 +1,282 @@
+import pickle
+
+import cv2
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from conformodal.features.extract import FeatureCache
+from conformodal.io import ImageError, read_recording
+from conformodal.io.streams.frames import Frame, SourceError
+from conformodal.io.streams.stored import SequenceStream
+from conformodal.localizer.filter import filter_posteriors
+from conformodal.localizer.places import choose_places, same_place
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.settings import FILTER
+from conformodal.localizer.targets import pose_targets
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.results.records import read_region_records, records_hold
+from conformodal.pipeline.results.runs import read_trajectories
+from conformodal.pipeline.results.statistics import RegionStatistics
+from conformodal.pipeline.results.writer import ResultsWriter
+from conformodal.pipeline.store import load_model
+from conformodal.pipeline.stream import StreamRunner
+
+
+@pytest.fixture(scope="module")
+def world(small_world):
+    return read_recording(small_world.folder), load_model(small_world.model)
+
+
+@pytest.fixture(scope="module")
+def batch(world, small_world):
+    """The same frames, all at once."""
+    sequence, model = world
+    frames = model.split.test[model.split.test < 300]
+    return frames, VisualOdometry(model).process(sequence, frames, cache=FeatureCache(small_world.cache))
+
+
+def stream(world, frames, folder, **options):
+    sequence, model = world
+    with ResultsWriter(folder) as writer:
+        runner = StreamRunner(VisualOdometry(model), writer, truth=sequence.truth, **options)
+        for frame in SequenceStream(sequence, frames):
+            runner.push(frame)
+        runner.finish()
+    return runner
+
+
+def test_a_stream_of_one_window_gives_what_the_whole_sequence_gives(world, batch, tmp_path):
+    frames, run = batch
+    runner = stream(world, frames, tmp_path)
+    assert runner.n_answered == len(frames)
+    assert not runner.windowed
+    assert runner.answered == frames.tolist()
+    found = read_trajectories(tmp_path)
+    for name, trajectory in run.trajectories.items():
+        off = np.linalg.norm(found[name].positions_xyz - trajectory.positions_xyz, axis=1)
+        # features of one image and of sixteen differ in the last digit, which may tip a choice once in a while
+        assert np.mean(off < 1e-3) > 0.97, name
+    assert set(found) == set(run.trajectories)
+    expected = RegionStatistics.of(run.regions, world[0].truth[run.frames], world[1].sign_reference)
+    statistics = runner.statistics
+    assert np.mean(statistics.n_intervals == expected.n_intervals) > 0.97
+    assert np.mean(statistics.inside == expected.inside) > 0.97
+    assert np.mean(np.abs(statistics.length - expected.length) < 1e-6) > 0.95
+    assert np.mean(statistics.kinds == run.kinds) > 0.97
+    assert runner.n_unreliable == int(np.sum(~run.reliable))
+    records = read_region_records(tmp_path / "regions.jsonl")
+    assert [r["frame"] for r in records] == [world[0].image_paths[i].name for i in frames]
+    # what is on disk holds the poses that the regions hold
+    sign, truth = world[1].sign_reference, runner.truth
+    np.testing.assert_array_equal(records_hold(records, truth, sign), statistics.held)
+    on_path, table = records_hold(records, truth, sign, "path_places"), runner.path_coverage
+    assert table["online"]["coverage"] == pytest.approx(on_path.mean())
+    targets = pose_targets(truth, sign)
+    for path, regions in run.path_regions.items():
+        assert table[path]["coverage"] == pytest.approx(regions.contains(targets, joint=True).mean(), abs=0.03)
+    assert table["n_reliable_and_elsewhere"] <= table["n_reliable_and_missed"] <= table["n_reliable"]
+
+
+def test_regions_after_motion_hold_the_calibration_frames_whose_scores_they_were_calibrated_on(world, small_world):
+    """Sources of a model that frames calibrate have not seen these: run as one stream, they are what calibrated it."""
+    sequence, model = world
+    frames = model.split.calibration
+    run = VisualOdometry(model).process(sequence, frames, cache=FeatureCache(small_world.cache))
+    targets = pose_targets(sequence.truth[frames], model.sign_reference)
+    assert run.path_regions.keys() == {"online", "hindsight"}
+    for path, regions in run.path_regions.items():
+        rule = model.path_rules[path]
+        held, lost = regions.contains(targets, joint=True), regions.unbounded.all(axis=1)
+        expected = (rule.scores_ <= rule.thresholds_).all(axis=1)
+        assert np.mean(held[~lost] == expected) > 0.97, path
+        assert expected.sum() >= min(rule.rank, len(expected)), path
+    online, truth = run.trajectories["online"], sequence.truth[frames]
+    wrong = ~same_place(online, truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
+    wrong &= ~run.path_regions["online"].contains(targets, joint=True)
+    n_sure = np.sum(wrong & (run.certainty >= model.reliable_p))
+    assert n_sure <= max(0.01, 1 / (len(frames) + 1)) * (len(frames) + 1) or model.reliable_p == FILTER.most_reliable
+    other = model.path_rules["online"].at(0.5)
+    assert other.thresholds_[0] <= model.path_rules["online"].thresholds_[0]
+
+
+def test_a_stream_looks_back_at_regions_that_hold_the_frames_which_calibrated_them(world):
+    sequence, model = world
+    frames, odometry = model.split.calibration, VisualOdometry(model)
+    now, back = [], []
+    for frame in SequenceStream(sequence, frames):
+        if frame.answer:
+            now.append(odometry.step(frame.image, frame.timestamp_s))
+            back.append(odometry.lagged())
+        else:
+            odometry.track_only(frame.image, frame.timestamp_s)
+    lag, rule = odometry.lag, model.path_rules["lagged"]
+    assert back[:lag] == [None] * lag
+    its = back[lag:]
+    assert [one.timestamp_s for one in its] == [one.timestamp_s for one in now[:-lag]]
+    for k in (0, 7):  # the pose in hindsight, and no more than that is another
+        np.testing.assert_array_equal(its[k].pose.positions_xyz[0], now[lag + k].revised.positions_xyz[0])
+        assert its[k].region is now[k].region
+    assert pickle.loads(pickle.dumps(now[-1])).timestamp_s == now[-1].timestamp_s
+    targets = pose_targets(sequence.truth[frames[:-lag]], model.sign_reference)
+    held = np.array([one.path_region.contains(t[None], joint=True)[0] for one, t in zip(its, targets, strict=True)])
+    lost = np.array([one.path_region.unbounded.all() for one in its])
+    expected = (rule.scores_ <= rule.thresholds_).all(axis=1)
+    assert len(expected) == (~lost).sum()  # so few that all were drawn
+    assert expected.sum() >= min(rule.rank, len(expected))
+    assert np.mean(held[~lost] == expected) > 0.97
+    odometry.reset()
+    assert odometry.lagged() is None
+    other, its = VisualOdometry(model, lag=2), []
+    for k, i in enumerate(frames[:4]):
+        other.step(sequence.image(int(i)), float(k))
+        its.append(other.lagged())
+    assert [one is None for one in its] == [True, True, False, False]
+    assert its[2].path_region is None  # calibrated for another lag
+
+
+def test_after_a_cut_to_another_scene_no_pose_is_reliable(small_world):
+    sequence, model = read_recording(small_world.folder), load_model(small_world.model)
+    odometry, rng = VisualOdometry(model), np.random.default_rng(0)
+    shape, last = sequence.image(0).shape, sequence.timestamps_s[31]
+    for i in range(31):
+        odometry.step(sequence.image(i), sequence.timestamps_s[i])
+    alien = cv2.resize(rng.integers(0, 255, (9, 12, 3), dtype=np.uint8), shape[1::-1], interpolation=cv2.INTER_CUBIC)
+    after = [odometry.step(np.roll(alien, k, axis=1), last + 0.1 * k) for k in range(20)]
+    assert all(its.evidence is EvidenceType.UNKNOWN for its in after)
+    assert not any(its.reliable for its in after)
+
+
+def test_online_poses_are_those_that_step_gives_and_know_no_later_frame(world, batch):
+    sequence, model = world
+    frames, run = batch
+    n = 30
+    odometry, said = VisualOdometry(model), []
+    for frame in SequenceStream(sequence, frames[:n]):
+        if frame.answer:
+            said.append(odometry.step(frame.image, frame.timestamp_s).pose.positions_xyz[0])
+        else:
+            odometry.track_only(frame.image, frame.timestamp_s)
+    online = run.trajectories["online"].positions_xyz
+    # features of one image and of sixteen differ in the last digit, which may tip a choice once in a while
+    assert np.mean(np.linalg.norm(online[:n] - said, axis=1) < 1e-3) > 0.9
+    for cut in (5, 12, 20):
+        seen = run.observations(np.arange(cut))
+        path, _ = choose_places(filter_posteriors(seen, model.prior), seen.timestamps_s, model.prior)
+        np.testing.assert_array_equal(path.positions_xyz, online[:cut], err_msg=f"{cut}")
+
+
+def test_a_stream_has_the_flow_that_the_whole_sequence_has(world, monkeypatch):
+    sequence, model = world
+    frames, seen = np.arange(60, 90, 4), []
+    localize = type(model).localize
+    monkeypatch.setattr(type(model), "localize", lambda own, e: seen.extend(e.local_features) or localize(own, e))
+    odometry = VisualOdometry(model)
+    for frame in SequenceStream(sequence, frames):
+        image = None if frame.index in (71, 79) else frame.image
+        odometry.step(image, frame.timestamp_s) if frame.answer else odometry.track_only(image, frame.timestamp_s)
+    read = type(sequence).image
+    paths = [sequence.image_paths[i] for i in (71, 79)]
+
+    def image(own, i):
+        if own.image_paths[i] in paths:
+            raise ImageError(f"{own.image_paths[i]}: unreadable")
+        return read(own, i)
+
+    monkeypatch.setattr(type(sequence), "image", image)
+    found = odometry.measure_motions(sequence, frames)
+    for i, its in zip(frames, seen, strict=True):
+        np.testing.assert_array_equal(its.flow, found.local_features[i].flow)
+    moving = [i for i, its in zip(frames, seen, strict=True) if its.flow.any()]
+    assert moving == [64, 68, 76, 84, 88]  # at 10 Hz, what was before a frame that cannot be read is too long ago
+
+
+def test_windows_lose_no_frame_and_little_else(world, batch, tmp_path):
+    frames, run = batch
+    assert stream(world, frames, tmp_path, window=25, overlap=8).windowed
+    found = read_trajectories(tmp_path)
+    for name in ("smoothed", "hindsight", "online"):
+        np.testing.assert_allclose(found[name].timestamps_s, run.timestamps_s, atol=1e-6)
+    off = np.linalg.norm(found["hindsight"].positions_xyz - run.trajectories["hindsight"].positions_xyz, axis=1)
+    assert np.mean(off < 1e-3) > 0.8
+    online = np.linalg.norm(found["online"].positions_xyz - run.trajectories["online"].positions_xyz, axis=1)
+    assert np.mean(online < 1e-3) > 0.97  # knows no windows
+
+
+def test_what_waits_does_not_grow(world, tmp_path):
+    sequence, model = world
+    with ResultsWriter(tmp_path) as writer:
+        runner = StreamRunner(VisualOdometry(model), writer, window=30, overlap=10)
+        for i, frame in enumerate(SequenceStream(sequence, np.arange(75))):
+            runner.push(frame)
+            assert len(runner._pending) < 30
+            # regions are on disk at once, whatever happens next
+            assert len((tmp_path / "regions.jsonl").read_text().splitlines()) == i + 1
+        runner.finish()
+    assert len(read_trajectories(tmp_path)["smoothed"]) == 75
+
+
+def test_frames_without_an_image_are_counted_and_the_stream_goes_on(world, tmp_path):
+    sequence, model = world
+    with ResultsWriter(tmp_path) as writer:
+        runner = StreamRunner(VisualOdometry(model), writer)
+        for i, frame in enumerate(SequenceStream(sequence, np.arange(12))):
+            bad = Frame(frame.name, frame.timestamp_s, None, "torn") if i in (0, 5) else frame
+            estimate = runner.push(bad)
+            assert (estimate.region is None) == (i in (0, 5))
+        small = runner.push(Frame("small", 1e6, np.zeros((3, 3, 3), np.uint8)))
+        assert "expected uint8" in small.problem
+        runner.finish()
+    assert (runner.n_answered, runner.n_problems) == (10, 3)
+    assert list(runner.problems.values())[:2] == ["torn", "torn"]
+    assert len(read_trajectories(tmp_path)["smoothed"]) == 10
+
+
+def test_a_time_twice_costs_that_frame_and_a_clock_set_back_ends_the_run_with_all_before_kept(world, tmp_path):
+    sequence, model = world
+    frames = list(SequenceStream(sequence, np.arange(8)))
+    with ResultsWriter(tmp_path) as writer:
+        runner = StreamRunner(VisualOdometry(model), writer)
+        for frame in frames:
+            runner.push(frame)
+            assert runner.push(frame) is None
+        assert (runner.n_answered, runner.n_problems) == (8, 8)
+        assert "does not go on" in next(iter(runner.problems.values()))
+        for _ in range(9):
+            assert runner.push(frames[3]) is None
+        with pytest.raises(SourceError, match=r"time goes back: frame-000003.* follows frame-000007"):
+            runner.push(frames[3])
+        runner.finish()
+    for trajectory in read_trajectories(tmp_path).values():
+        assert len(trajectory) == 8
+
+
+def test_recordings_are_answered_apart(world, tmp_path):
+    sequence, model = world
+    frames = list(SequenceStream(sequence, np.arange(20)))
+    with ResultsWriter(tmp_path) as writer:
+        runner = StreamRunner(VisualOdometry(model), writer)
+        for i, frame in enumerate(frames):
+            runner.push(Frame(frame.name, frame.timestamp_s, frame.image, recording=int(i >= 10)))
+        runner.finish()
+    records = read_region_records(tmp_path / "regions.jsonl")
+    assert [i for i, r in enumerate(records) if r["motion"] == "first"] == [0, 10]
+    times = read_trajectories(tmp_path)["smoothed"].timestamps_s
+    np.testing.assert_allclose(times, [f.timestamp_s for f in frames], atol=1e-6)
+
+
+def test_a_step_multiplies_matrices_in_one_thread(world, monkeypatch):
+    sequence, model = world
+    vo, seen = VisualOdometry(model), []
+    answer = VisualOdometry._answer
+
+    def recorded(self, *args):
+        seen.extend(one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas")
+        return answer(self, *args)
+
+    monkeypatch.setattr(VisualOdometry, "_answer", recorded)
+    with threadpool_limits(2, user_api="blas"):
+        vo.step(sequence.image(0), 0.0)
+        assert {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"} == {2}
+    assert seen
+    assert set(seen) == {1}

@@ -1,0 +1,92 @@
+"""A trained model answers where torch is not installed."""
+
+import json
+import shutil
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from conformodal.pipeline.errors import ModelFileError
+from conformodal.pipeline.store import load_model
+
+
+def run_script(script):
+    command = [sys.executable, "-c", textwrap.dedent(script)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+
+
+def run_without(missing, *arguments):
+    return run_script(f"""
+        import sys
+
+        class Missing:
+            def find_spec(self, name, path=None, target=None):
+                if name.partition(".")[0] in {missing!r}:
+                    raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+        sys.meta_path.insert(0, Missing())
+        from conformodal.cli.main import app
+        app({[str(a) for a in arguments]!r})
+    """)
+
+
+@pytest.mark.slow
+def test_a_model_is_run_without_torch(small_world, tmp_path):
+    missing = ("torch", "efficientnet_lite_pytorch", "trimesh", "embreex", "onnxscript")
+    out = tmp_path / "out"
+    found = run_without(missing, "run", small_world.model, small_world.folder, "--part", "test", "--out", out)
+    assert found.returncode == 0, found.stderr
+    assert (out / "report.html").is_file()
+    assert json.loads((out / "metrics.json").read_text())["n_answered"] > 0
+
+
+@pytest.mark.slow
+def test_what_is_missing_is_named_with_the_line_that_installs_it(small_world, tmp_path):
+    found = run_without(("torch",), "train", small_world.folder, "--out", tmp_path / "model")
+    assert found.returncode == 2
+    assert "pip install 'conformodal[train]'" in found.stderr + found.stdout
+    assert "Traceback" not in found.stderr
+
+
+def test_a_damaged_network_is_named(small_world, tmp_path):
+    folder = shutil.copytree(small_world.model, tmp_path / "model")
+    (network,) = folder.glob("network-*.onnx")
+    network.write_bytes(network.read_bytes()[:-1] + b"?")
+    with pytest.raises(ModelFileError, match=rf"{network.name}: is not the file that was saved"):
+        load_model(folder)
+    network.unlink()
+    with pytest.raises(ModelFileError, match=rf"{network.name}: cannot be read"):
+        load_model(folder)
+
+
+@pytest.mark.parametrize("module", ["region_rules", "radius", "errors"])
+def test_rules_of_regions_and_radii_need_no_package_for_images(module):
+    found = run_script(f"""
+        import sys
+        import conformodal.pipeline.{module}
+        heavy = {{"cv2", "PIL", "onnxruntime", "poselib", "safetensors", "torch"}} & set(sys.modules)
+        assert not heavy, heavy
+    """)
+    assert found.returncode == 0, found.stderr
+
+
+def test_settings_are_checked_without_torch():
+    found = run_script("""
+        import sys
+
+        sys.modules["torch"] = None  # its import fails
+        from conformodal.pipeline.config import ModelConfig
+        from conformodal.features.settings import VisionError
+
+        ModelConfig(), ModelConfig(network="hf:someone/something"), ModelConfig.paper(device="cuda")
+        for wrong in ({"network": "efficientnet_lite9"}, {"device": "tpu"}):
+            try:
+                ModelConfig(**wrong)
+            except VisionError as exc:
+                assert next(iter(wrong.values())) in str(exc)
+            else:
+                raise AssertionError(wrong)
+    """)
+    assert found.returncode == 0, found.stderr

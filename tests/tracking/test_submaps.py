@@ -1,0 +1,214 @@
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from conformodal.geometry import PinholeCamera
+from conformodal.geometry import bundle as bundle_module
+from conformodal.geometry.bundle import Bundle, Views, adjust_bundle
+from conformodal.geometry.settings import BUNDLE
+from conformodal.io import read_sevenscenes
+from conformodal.io.decoding import grey_image
+from conformodal.tracking.submaps import build_submaps
+from conformodal.tracking.tracker import Corners, CornerTracker
+from conformodal.tracking.two_view import solve_poselib
+
+CAMERA = PinholeCamera(500, 510, 320, 240, 640, 480)
+
+
+def world(n_frames=12, n_points=300, seed=0, step=0.06, turn=0.01):
+    """Poses of a camera on a curve, and points in front of it."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(n_frames)
+    centres = np.column_stack((step * t, 0.02 * np.sin(t / 2), 0.3 * step * t))
+    rotations = Rotation.from_rotvec(np.column_stack((0.3 * turn * t, turn * t, 0 * t)))
+    points = rng.uniform([-3, -2, 3], [3, 2, 7], (n_points, 3))
+    return centres, rotations, points
+
+
+def on_plane(centre, rotation, points):
+    seen = rotation.inv().apply(points - centre)
+    return seen[:, :2] / seen[:, 2:]
+
+
+def corners_of(centres, rotations, points, noise_px=0.0, seed=0, visible=None):
+    rng = np.random.default_rng(seed)
+    found = []
+    for t, centre in enumerate(centres):
+        pixels = on_plane(centre, rotations[t], points) * (CAMERA.fx, CAMERA.fy) + (CAMERA.cx, CAMERA.cy)
+        pixels += rng.normal(size=pixels.shape) * noise_px
+        there = np.arange(len(points)) if visible is None else visible(t)
+        found.append(Corners(there.astype(np.int64), pixels[there].astype(np.float32)))
+    return found
+
+
+def disturbed(centres, rotations, points, seed=1):
+    """Views of all frames from the first, the exact bundle, and a start that is off."""
+    rng = np.random.default_rng(seed)
+    anchor = on_plane(centres[0], rotations[0], points)
+    others = np.stack([on_plane(centres[t], rotations[t], points) for t in range(1, len(centres))])
+    views = Views(anchor, others, np.ones(others.shape[:2], dtype=bool))
+    relative = rotations[0].inv() * rotations[1:]
+    places = rotations[0].inv().apply(centres[1:] - centres[0])
+    inverse = 1 / rotations[0].inv().apply(points - centres[0])[:, 2]
+    length = np.linalg.norm(places[-1])
+    exact = Bundle(relative.as_matrix(), places / length, inverse * length)
+    turned = relative * Rotation.from_rotvec(rng.normal(size=(len(places), 3)) * 0.01)
+    shifted = exact.positions * (1 + 0.1 * rng.normal(size=places.shape))
+    return views, exact, Bundle(turned.as_matrix(), shifted, exact.inverse_depths * rng.uniform(0.7, 1.4, len(points)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_bundles_without_noise_are_exact(seed):
+    views, exact, start = disturbed(*world(8, seed=seed), seed=seed)
+    found, residuals = adjust_bundle(start, views, 1e-3)
+    np.testing.assert_allclose(found.positions, exact.positions, atol=1e-6)
+    np.testing.assert_allclose(found.R_anchor_frame, exact.R_anchor_frame, atol=1e-6)
+    np.testing.assert_allclose(found.inverse_depths, exact.inverse_depths, rtol=1e-4)
+    assert residuals.max() < 1e-6
+
+
+def test_bundles_agree_with_scipy(monkeypatch):
+    monkeypatch.setattr(bundle_module, "BUNDLE", replace(BUNDLE, cauchy=1e4, enough=0.0))  # plain least squares
+    views, exact, start = disturbed(*world(4, 40))
+    rng = np.random.default_rng(0)
+    views = views._replace(others=views.others + rng.normal(size=views.others.shape) * 1e-3)
+    views.seen[0, :5] = False
+    found, _ = adjust_bundle(start, views, 1e-3)
+    k = len(exact.positions)
+
+    def residuals(x):
+        turns, places, inverse = x[: 3 * k].reshape(k, 3), x[3 * k : 6 * k].reshape(k, 3), x[6 * k :]
+        rays = np.column_stack((views.anchor, np.ones(len(inverse))))
+        off = []
+        for t in range(k):
+            seen = Rotation.from_rotvec(turns[t]).inv().apply(rays - inverse[:, None] * places[t])
+            off.append(np.where(views.seen[t][:, None], seen[:, :2] / seen[:, 2:] - views.others[t], 0))
+        return np.ravel(off) * 1e3
+
+    turns = Rotation.from_matrix(exact.R_anchor_frame).as_rotvec()
+    best = least_squares(
+        residuals, np.concatenate((turns.ravel(), exact.positions.ravel(), exact.inverse_depths)), xtol=1e-12
+    )
+    places = best.x[3 * k : 6 * k].reshape(k, 3)
+    np.testing.assert_allclose(found.positions, places / np.linalg.norm(places[-1]), atol=1e-5)
+    np.testing.assert_allclose(
+        Rotation.from_matrix(found.R_anchor_frame).as_rotvec(), best.x[: 3 * k].reshape(k, 3), atol=1e-5
+    )
+
+
+def misfit(submap, centres, rotations):
+    """Root mean square per axis, in the submap's unit, with the best length."""
+    anchor = submap.frames[0]
+    truth = rotations[anchor].inv().apply(centres[submap.frames] - centres[anchor])
+    length = (submap.positions * truth).sum() / (submap.positions**2).sum()
+    return np.sqrt(((submap.positions - truth / length) ** 2).mean()), length
+
+
+@pytest.mark.parametrize("noise_px", [0.0, 0.3])
+def test_a_path_is_found_but_for_its_length(noise_px):
+    centres, rotations, points = world()
+    (submap,) = build_submaps(corners_of(centres, rotations, points, noise_px), CAMERA)
+    assert submap.frames[0] == 0
+    assert submap.frames[-1] == 11
+    assert submap.span == 12
+    assert len(submap.frames) == 9
+    error, length = misfit(submap, centres, rotations)
+    assert error < max(submap.sigma / 3, 1e-3)
+    assert length > 0
+    relative = rotations[0].inv() * rotations[submap.frames]
+    off = (Rotation.from_matrix(submap.R_anchor_frame).inv() * relative).magnitude()
+    assert off.max() < submap.rotation_sigma_rad
+    depths = rotations[0].inv().apply(points - centres[0])[:, 2]
+    assert submap.depth * length == pytest.approx(np.median(depths), rel=0.1)
+
+
+def test_corners_that_wander_off_on_their_own_do_not_matter():
+    centres, rotations, points = world()
+    corners = corners_of(centres, rotations, points, 0.2)
+    for t, frame in enumerate(corners):
+        frame.pixels[::5] += np.random.default_rng(0).normal(size=(60, 2)) * 2 * t
+    (submap,) = build_submaps(corners, CAMERA)
+    assert misfit(submap, centres, rotations)[0] < submap.sigma
+
+
+def test_where_corners_are_lost_another_submap_begins_in_the_middle():
+    centres, rotations, points = world(30, 900)
+
+    def visible(t):  # every frame loses thirty corners and finds thirty others
+        return np.arange(30 * t, 30 * t + 300) % 900
+
+    submaps = build_submaps(corners_of(centres, rotations, points, 0.1, visible=visible), CAMERA)
+    assert len(submaps) > 3
+    for one, two in pairwise(submaps):
+        assert one.span <= 8  # 30 % of 300 corners
+        assert one.frames[0] < two.frames[0] < one.frames[-1]
+    assert submaps[-1].frames[-1] == 29
+
+
+def test_where_nothing_can_be_told_there_is_no_submap():
+    centres, rotations, points = world()
+    still = np.zeros_like(centres)
+    assert build_submaps(corners_of(still, rotations, points, 0.1), CAMERA) == []  # turns only
+    fixed = Rotation.from_rotvec(np.zeros((12, 3)))
+    assert build_submaps(corners_of(still, fixed, points, 0.1), CAMERA) == []  # stands still
+    assert build_submaps(corners_of(centres, rotations, points)[:2], CAMERA) == []
+    assert build_submaps([], CAMERA) == []
+    assert build_submaps(corners_of(centres, rotations, points[:20]), CAMERA) == []
+    nothing = [Corners(np.empty(0, np.int64), np.empty((0, 2), np.float32))] * 12
+    assert build_submaps(nothing, CAMERA) == []
+    rng = np.random.default_rng(0)
+    nonsense = [Corners(c.ids, rng.permutation(c.pixels)) for c in corners_of(centres, rotations, points)]
+    assert build_submaps(nonsense, CAMERA) == []
+
+
+def test_frames_are_renumbered_or_refused():
+    centres, rotations, points = world()
+    (submap,) = build_submaps(corners_of(centres, rotations, points), CAMERA)
+    doubled = submap.renumbered({f: 2 * f for f in range(12)})
+    np.testing.assert_array_equal(doubled.frames, 2 * submap.frames)
+    assert doubled.span == 23
+    np.testing.assert_array_equal(doubled.positions, submap.positions)
+    assert submap.renumbered({0: 0, 1: 1}) is None
+
+
+def test_corners_keep_their_numbers(redkitchen):
+    sequence = read_sevenscenes(redkitchen)
+    tracker = CornerTracker()
+    seen = []
+    for i in range(100, 106):
+        tracker.advance(grey_image(sequence.image(i)))
+        tracker.mark()
+        seen.append(tracker.corners())
+        assert len(np.unique(seen[-1].ids)) == len(seen[-1].ids) == len(seen[-1].pixels)
+    _, here, there = np.intersect1d(seen[0].ids, seen[-1].ids, return_indices=True)
+    assert len(here) > 100
+    # the same corners make one motion
+    found = solve_poselib(seen[0].pixels[here].astype(float), seen[-1].pixels[there].astype(float), sequence.camera)
+    assert found.inliers.mean() > 0.8
+    last = max(seen[-1].ids)
+    tracker.reset()
+    tracker.advance(grey_image(sequence.image(300)))
+    tracker.mark()
+    assert min(tracker.corners().ids) > last  # another recording's corners are others
+
+
+def test_redkitchen_submaps_know_the_path_to_millimetres(redkitchen):
+    sequence = read_sevenscenes(redkitchen)
+    truth = sequence.require_truth()[slice(280, 320)]
+    tracker, corners = CornerTracker(), []
+    for i in range(280, 320):
+        tracker.advance(grey_image(sequence.image(i)))
+        tracker.mark()
+        corners.append(tracker.corners())
+    submaps = build_submaps(corners, sequence.camera)
+    assert submaps[0].span > 20
+    rotations = Rotation.from_quat(truth.orientations_quat_wxyz, scalar_first=True)
+    for submap in submaps:
+        error, length = misfit(submap, truth.positions_xyz, rotations)
+        assert error < submap.sigma
+        assert error * length < 0.012
+        assert 1 < submap.depth * length < 4
