@@ -1,6 +1,5 @@
 import json
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,22 +27,13 @@ def in_torch(small_world, tmp_path):
 
 
 def test_a_model_in_torch_is_exported(small_world, in_torch, tmp_path):
-    run_ok("export", in_torch, "--out", tmp_path / "out", "--cache", tmp_path / "cache", "--with-head")
+    run_ok("export", in_torch, "--out", tmp_path / "out", "--cache", tmp_path / "cache")
     made = load_model(tmp_path / "out")
     assert isinstance(made.backbone, OnnxBackbone)
     assert made.backbone.content == load_model(small_world.model).backbone.content
-    assert (tmp_path / "out" / "pose_network.onnx").is_file()
     np.testing.assert_array_equal(made.calibration.scores_, load_model(in_torch).calibration.scores_)
     assert [runtime_of(folder) for folder in (in_torch, tmp_path / "out")] == ["torch", "onnx"]
     assert made.configuration["runtime"] == "onnx"
-
-
-def test_a_head_that_the_model_lacks_is_said_before_anything_is_written(small_world, tmp_path):
-    model = load_model(small_world.model)
-    others = tuple(source for source in model.localizer.sources if source.name != "head")
-    save_model(replace(model, localizer=replace(model.localizer, sources=others)), tmp_path / "headless")
-    assert "--with-head" in refusal("export", tmp_path / "headless", "--out", tmp_path / "out", "--with-head")
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@ import inspect
 import json
 import subprocess
 import sys
-import warnings
 
 import pytest
 from typer.main import get_command
@@ -11,9 +10,7 @@ from typer.testing import CliRunner
 from conformodal.cli import info as info_module
 from conformodal.cli import view as view_module
 from conformodal.cli.main import COMMANDS, app
-from conformodal.io import DatasetWarning
 from conformodal.localizer.region_rules import EvidenceType
-from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.store import load_model
 from tests.helpers import invoke, run_ok
 
@@ -54,22 +51,6 @@ def test_info_names_training_data_guarantee_and_size(small_world):
     lines = info_module.describe_facts(found)
     assert any("with probability at least 0.8" in line for line in lines)
     assert invoke("info", small_world.model).stdout.replace("\n", "").startswith(lines[0])
-
-
-def test_warnings_of_an_extension_that_fails_are_printed(tmp_path, monkeypatch):
-    def fail(*_, **__):
-        warnings.warn("it is a copy", DatasetWarning, stacklevel=2)
-        warnings.warn("of another kind", FutureWarning, stacklevel=2)
-        raise OdometryError("the camera is another")
-
-    for name, instead in {"load_model": lambda _: None, "open_sequences": lambda *_, **__: None}.items():
-        monkeypatch.setattr(f"conformodal.cli.extend.{name}", instead)
-    monkeypatch.setattr("conformodal.cli.extend.extend_model", fail)
-    with pytest.warns(FutureWarning, match="of another kind"):
-        result = invoke("extend", tmp_path, tmp_path / "data", "--out", tmp_path / "out", "--cache", tmp_path / "cache")
-    assert result.exit_code == 2
-    assert result.stdout.splitlines()[-1] == "it is a copy"
-    assert result.stderr.endswith("the camera is another\n")
 
 
 def test_a_page_is_opened(tmp_path, monkeypatch):

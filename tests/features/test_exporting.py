@@ -1,21 +1,17 @@
 from pathlib import Path
 
 import numpy as np
-import onnxruntime
 import pytest
 from onnx import load_model_from_string
 from PIL import Image
 
 from conformodal.features import export as exporting
-from conformodal.features.backbone import BackboneConfig, feature_views
-from conformodal.features.export import exported, quantised, with_head
+from conformodal.features.backbone import BackboneConfig
+from conformodal.features.export import exported, quantised
 from conformodal.features.extract import FeatureCache
-from conformodal.features.heads import fit_head, soft_cross_entropy
 from conformodal.features.networks.torch_backbone import TorchBackbone
 from conformodal.features.onnx_backbone import OnnxBackbone
-from conformodal.features.projection import fit_projection
-from conformodal.features.settings import TrainingConfig, VisionError
-from conformodal.localizer.targets import TARGET_NAMES
+from conformodal.features.settings import VisionError
 
 CONFIG = BackboneConfig(width=96, height=64, grid=(2, 3))
 
@@ -115,20 +111,3 @@ def test_a_network_is_quantised_once_for_the_same_images(onnx, files, tmp_path, 
     monkeypatch.setattr(exporting, "_quantise", lambda *_: onnx.content)
     assert quantised(onnx, files, cache).content == first.content
     assert quantised(onnx, files[:5], cache).content == onnx.content  # other images: made anew
-
-
-@pytest.mark.parametrize("components", [4, None])
-def test_the_file_with_the_head_gives_the_probabilities_of_the_model(onnx, images, components):
-    features = onnx.describe(images).astype(np.float32)
-    sizes = [3, 2, 4, 2, 3, 2, 5]
-    labels = np.concatenate([np.random.default_rng(k).dirichlet(np.ones(k), len(images)) for k in sizes], axis=1)
-    through = fit_projection(features, components, feature_views(features.shape[1]).network)
-    config = TrainingConfig(epochs=3, hidden=16, batch_size=4)
-    head = fit_head(features, labels, sizes, soft_cross_entropy, config, projection=through).trained()
-    session = onnxruntime.InferenceSession(with_head(onnx, head, TARGET_NAMES), providers=["CPUExecutionProvider"])
-    assert [node.name for node in session.get_outputs()] == ["map", *TARGET_NAMES]
-    batch = session.run(list(TARGET_NAMES), {"images": images})  # of any number of images
-    for k, expected in enumerate(head.predict_proba(features)):
-        assert batch[k].shape == expected.shape
-        single = np.concatenate([session.run([TARGET_NAMES[k]], {"images": image[None]})[0] for image in images])
-        np.testing.assert_allclose(single, expected, atol=1e-5)

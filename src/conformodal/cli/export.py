@@ -9,14 +9,11 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from conformodal.core.files import write_whole
 from conformodal.core.words import counted, noun_for
 from conformodal.features.extract import FeatureCache
 from conformodal.features.onnx_backbone import OnnxBackbone
 from conformodal.io import Layout, Recording
-from conformodal.localizer.sources.head import HeadSource
 from conformodal.localizer.sources.landmarks import LandmarkSource
-from conformodal.localizer.targets import TARGET_NAMES
 from conformodal.pipeline.config import Runtime, config_of
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.identity import identify
@@ -24,12 +21,10 @@ from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.results.folders import lock_output
 from conformodal.pipeline.store import load_model, save_model
 
-from .console import console, print_where, progress_bars, report_errors
+from .console import print_where, progress_bars, report_errors
 from .options import OptionError
 from .sources import Cache, DataLayout, FollowOutside, SavedModel, cache_folder, open_sequence
 from .train import train_on
-
-_NETWORK = "pose_network.onnx"
 
 
 @report_errors
@@ -39,9 +34,6 @@ def export(
     quantise: Annotated[
         str, typer.Option(help="int8: quantise the network, then retrain and recalibrate the rest on --data.")
     ] = "none",
-    with_head: Annotated[
-        bool, typer.Option("--with-head", help=f"Also write {_NETWORK}: the network with its head, as one file.")
-    ] = False,
     data: Annotated[
         Path | None, typer.Option(help="The data set that the model was trained on, for --quantise.")
     ] = None,
@@ -55,9 +47,6 @@ def export(
     if (quantise == "int8") != (data is not None):
         raise OptionError("--quantise int8 and --data go together: ranges and thresholds come from the training data")
     loaded = load_model(model)
-    if with_head and loaded.localizer.find(HeadSource) is None:
-        names = ", ".join(source.name for source in loaded.localizer.sources)
-        raise OptionError(f"--with-head: {model} has no head; its sources are {names}")
     with lock_output(out, "train", apart=[model] if data is None else [model, data]):
         cache_dir = cache_folder(cache)
         if data is None:
@@ -71,16 +60,6 @@ def export(
                 # landmarks look at local features alone, which are the same in eight bits
                 landmarks = [source for source in loaded.localizer.sources if isinstance(source, LandmarkSource)]
                 made = train_on(sequence, config, out, cache_dir=cache_dir, report=report, fitted=landmarks)
-        (out / _NETWORK).unlink(missing_ok=True)  # of an earlier model
-        head = made.localizer.find(HeadSource)
-        if with_head and head is not None:
-            from conformodal.features.export import (  # noqa: PLC0415 - torch takes a second
-                with_head as network_with_head,
-            )
-
-            assert isinstance(made.backbone, OnnxBackbone)
-            write_whole(out / _NETWORK, network_with_head(made.backbone, head.head, TARGET_NAMES))
-            console.print(f"network and head, from pixels to probabilities: {_NETWORK}")
     print_where(out)
 
 

@@ -21,7 +21,6 @@ COMMANDS = {
     "demo": "Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and "
     "motion.",
     "train": "Train on a data set with poses, calibrate, and save the model.",
-    "extend": "Add recordings to a model without the images that it was trained on, and calibrate again.",
     "export": "Convert a model's network to ONNX, or quantise it to eight bits.",
     "calibrate": "Give the chosen pose a radius with a coverage guarantee, calibrated on whole recordings.",
     "run": "Compute regions and the trajectory of sources with a saved model, frame by frame. Ctrl-C stops it and "

@@ -1,4 +1,4 @@
-"""Networks in ONNX, which run without torch: exported, quantised to eight bits, joined with a softmax head."""
+"""Networks in ONNX, which run without torch: exported, and quantised to eight bits."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from conformodal.io import read_image
 from .backbone import Backbone
 from .cache import cache_arrays, cached_arrays
 from .extract import FeatureCache
-from .head import SoftmaxHead
 from .onnx_backbone import INPUT, OUTPUT, OnnxBackbone
 from .settings import VisionError
 
@@ -64,52 +63,6 @@ def quantised(
         return _quantise(backbone.content, images)
 
     return _cached_network(backbone, key, cache, make)
-
-
-def with_head(backbone: OnnxBackbone, head: SoftmaxHead, targets: tuple[str, ...]) -> bytes:
-    """The network with its softmax head: input ``images``, outputs ``map`` and one (n, K) per name in `targets`."""
-    with require_extra("train", "the export of a network"):
-        import onnx  # noqa: PLC0415
-        from onnx import helper, numpy_helper  # noqa: PLC0415
-
-    model = onnx.load_model_from_string(backbone.content)
-    graph = model.graph
-    n_map = backbone.maps(np.zeros((1, backbone.config.height, backbone.config.width, 3), np.uint8)).shape[1]
-    ours = {name: np.asarray(value) for name, value in head.weights.items()}
-    # the head does not see the global descriptor, in which features end
-    ours["offset"], ours["components"] = ours["offset"][:n_map], ours["components"][:n_map]
-    if ours["components"].ndim == 1:  # then the hidden layer looks at all features, and those of the descriptor are 0
-        ours["trunk.1.weight"] = ours["trunk.1.weight"][:, :n_map]
-    for name in ("trunk.1.weight", "output.weight"):
-        ours[name] = np.ascontiguousarray(ours[name].T)
-    ours |= {k: np.array(v, np.float32) for k, v in (("half", 0.5), ("one", 1), ("root", np.sqrt(0.5)))}
-    graph.initializer.extend(numpy_helper.from_array(value, f"head.{name}") for name, value in ours.items())
-
-    def add(operator: str, inputs: list[str], output: str, **attributes: Any) -> str:
-        graph.node.append(helper.make_node(operator, inputs, [f"head.{output}"], **attributes))
-        return f"head.{output}"
-
-    last = add("Cast", [OUTPUT], "rounded", to=onnx.TensorProto.FLOAT16)  # as features are kept
-    last = add("Cast", [last], "features", to=onnx.TensorProto.FLOAT)
-    last = add("Sub", [last, "head.offset"], "centred")
-    last = add("MatMul" if ours["components"].ndim == 2 else "Mul", [last, "head.components"], "projected")
-    last = add("MatMul", [last, "head.trunk.1.weight"], "hidden")
-    last = add("Add", [last, "head.trunk.1.bias"], "shifted")
-    normalised = [last, "head.trunk.2.weight", "head.trunk.2.bias"]
-    last = add("LayerNormalization", normalised, "normalised", axis=-1, epsilon=1e-5)
-    inner = add("Mul", [last, "head.root"], "scaled")
-    inner = add("Add", [add("Erf", [inner], "erf"), "head.one"], "erf1")
-    last = add("Mul", [add("Mul", [last, "head.half"], "halved"), inner], "gelu")
-    last = add("MatMul", [last, "head.output.weight"], "product")
-    last = add("Add", [last, "head.output.bias"], "raw")
-    graph.initializer.append(numpy_helper.from_array(np.array(head.outputs, np.int64), "head.sizes"))
-    blocks = [f"head.{target}" for target in targets]
-    graph.node.append(helper.make_node("Split", [last, "head.sizes"], blocks, axis=1))
-    for target, block, size in zip(targets, blocks, head.outputs, strict=True):
-        graph.node.append(helper.make_node("Softmax", [block], [target], axis=1))
-        graph.output.append(helper.make_tensor_value_info(target, onnx.TensorProto.FLOAT, ["n", size]))
-    onnx.checker.check_model(model)
-    return bytes(model.SerializeToString())
 
 
 def _cached_network(backbone: Backbone, key: str, cache: FeatureCache, make: Callable[[], bytes]) -> OnnxBackbone:
