@@ -43,7 +43,7 @@ def measured(seed: int, cache: Path) -> dict[str, Any]:
     config = ModelConfig(split=SplitKind.BLOCKS, calibrate_on=Calibration.FRAMES, seed=seed)
     data = prepare_training_data(sequence, config, FeatureCache(cache))
     share(data)
-    model = train_model(data, config, checkpoint_dir=cache / "training")
+    model = train_model(data, config)
     truth, test = sequence.require_truth(), model.split.test
     scale = ViewScale.of(sequence.camera, depth_or_default(model.prior.depth_m))
     coverage = pose_coverage(truth, sequence.recording, truth[model.localizer.frames], scale)

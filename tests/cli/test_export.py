@@ -6,7 +6,6 @@ import pytest
 
 from conformodal.features.networks.torch_backbone import TorchBackbone
 from conformodal.features.onnx_backbone import OnnxBackbone
-from conformodal.localizer.sources.landmarks import LandmarkSource
 from conformodal.pipeline.store import load_model, save_model
 from tests.helpers import invoke, refusal, run_ok
 
@@ -37,11 +36,7 @@ def test_a_model_in_torch_is_exported(small_world, in_torch, tmp_path):
 
 
 @pytest.mark.slow
-def test_eight_bits_are_learnt_and_calibrated_anew(small_world, tmp_path, monkeypatch):
-    def mapped_again(data, frames):
-        raise AssertionError("landmarks do not depend on the network")
-
-    monkeypatch.setattr(LandmarkSource, "fit", mapped_again)
+def test_eight_bits_are_learnt_and_calibrated_anew(small_world, tmp_path):
     out = tmp_path / "int8"
     arguments = ["--out", out, "--cache", small_world.cache, "--quantise", "int8", "--data", small_world.folder]
     run_ok("export", small_world.model, *arguments)

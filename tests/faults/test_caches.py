@@ -1,18 +1,15 @@
-"""Caches and states that are damaged, stopped, or shared: noticed, made again, and the same to the bit."""
+"""Cached features that are damaged are made again, the same to the bit; locks are held once."""
 
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from safetensors.numpy import save as save_tensors
 
 from conformodal.core.files import locked
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.features.heads import Head, fit_head, mean_squared_error, soft_cross_entropy
 from conformodal.features.networks.torch_backbone import TorchBackbone, backbone_config
-from conformodal.features.settings import TrainingConfig
 from tests.io.test_layouts import write_sevenscenes
 
 
@@ -32,65 +29,6 @@ DAMAGE = {
     "twice": lambda p: p.write_bytes(p.read_bytes() * 2),
     "other arrays": lambda p: p.write_bytes(save_tensors({"features": np.zeros(3, np.float16)})),
 }
-
-
-def toy():
-    rng = np.random.default_rng(0)
-    x = rng.normal(size=(50, 12)).astype(np.float32)
-    hot = np.eye(3, dtype=np.float32)[rng.integers(0, 3, (50, 2))].reshape(50, 6)
-    return x, hot
-
-
-def bits(head: Head) -> list[bytes]:
-    return [value.numpy().tobytes() for value in head.state_dict().values()]
-
-
-CONFIG = TrainingConfig(epochs=23, hidden=8, batch_size=16)
-
-
-def trained(folder, stop_at=None, config=CONFIG):
-    x, y = toy()
-
-    def stop(done, _):
-        if done == stop_at:
-            raise KeyboardInterrupt
-
-    return fit_head(x, y, [3, 3], soft_cross_entropy, config, checkpoint_dir=folder, progress=stop)
-
-
-@pytest.fixture(scope="module")
-def uninterrupted():
-    return bits(trained(None))
-
-
-@pytest.mark.parametrize("stops", [(1,), (9,), (10,), (11,), (22,), (12, 21)])
-def test_a_training_taken_up_again_ends_as_the_uninterrupted_one(tmp_path, uninterrupted, stops):
-    for stop_at in stops:
-        with pytest.raises(KeyboardInterrupt):
-            trained(tmp_path, stop_at)
-    torch.rand(7)  # numbers that something else draws in between
-    assert bits(trained(tmp_path)) == uninterrupted
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("damage", ["empty", "bit in the middle", "other arrays"])
-def test_a_damaged_state_is_dropped(tmp_path, uninterrupted, damage):
-    with pytest.raises(KeyboardInterrupt):
-        trained(tmp_path, 12)
-    (state,) = tmp_path.iterdir()
-    DAMAGE[damage](state)
-    assert bits(trained(tmp_path)) == uninterrupted
-
-
-@pytest.mark.parametrize("other", ["outputs", "loss"])
-def test_the_state_of_another_head_is_not_taken_up(tmp_path, other):
-    x, y = toy()
-    config = TrainingConfig(epochs=12, hidden=8)
-    outputs, loss = ([2, 4], soft_cross_entropy) if other == "outputs" else ([3, 3], mean_squared_error)
-    plain = bits(fit_head(x, y, outputs, loss, config))
-    with pytest.raises(KeyboardInterrupt):
-        trained(tmp_path, 11, config)
-    assert bits(fit_head(x, y, outputs, loss, config, checkpoint_dir=tmp_path)) == plain
 
 
 @pytest.fixture(scope="module")

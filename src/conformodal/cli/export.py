@@ -13,7 +13,6 @@ from conformodal.core.words import counted, noun_for
 from conformodal.features.extract import FeatureCache
 from conformodal.features.onnx_backbone import OnnxBackbone
 from conformodal.io import Layout, Recording
-from conformodal.localizer.sources.landmarks import LandmarkSource
 from conformodal.pipeline.config import Runtime, config_of
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.identity import identify
@@ -57,9 +56,7 @@ def export(
             _check_same_data(loaded, sequence, model)
             with progress_bars() as report:
                 config = replace(config_of(loaded.settings), runtime=Runtime.INT8)
-                # landmarks look at local features alone, which are the same in eight bits
-                landmarks = [source for source in loaded.localizer.sources if isinstance(source, LandmarkSource)]
-                made = train_on(sequence, config, out, cache_dir=cache_dir, report=report, fitted=landmarks)
+                made = train_on(sequence, config, out, cache_dir=cache_dir, report=report)
     print_where(out)
 
 

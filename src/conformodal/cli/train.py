@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,7 +19,6 @@ from conformodal.features.settings import TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.sources.landmarks import LandmarkSource
-from conformodal.localizer.sources.registry import PoseSource
 from conformodal.pipeline.config import Calibration, Method, ModelConfig, Runtime
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.results.folders import lock_output
@@ -176,12 +174,11 @@ def train_on(
     *,
     cache_dir: Path,
     report: StageProgress,
-    fitted: Iterable[PoseSource] = (),
 ) -> PoseModel:
-    """Train, calibrate and save; says what a user should know of the model. `fitted`: see :func:`train_model`."""
+    """Train, calibrate and save; says what a user should know of the model."""
     started = time.perf_counter()
     data = prepare_training_data(sequence, config, FeatureCache(cache_dir), report)
-    model = train_model(data, config, checkpoint_dir=cache_dir / "training", progress=report, fitted=fitted)
+    model = train_model(data, config, progress=report)
     # at the end: until then, a model that was there before is whole
     save_model(model, out)
     quality = _quality_of(data, model, config)

@@ -68,32 +68,27 @@ def calibrate_regions(
     localizers: Sequence[Localizer],
     novelty: PlaceNovelty | None,
     config: ModelConfig,
-    extended: tuple[RegionRules, QuantileBins] | None = None,
 ) -> Calibrated:
     """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone.
 
-    `extended` are the rules of a model that is extended, and the cells of its regions from now on: scores are on its
-    scale, local features count if they did before, and ``bonferroni`` stays as it is where only one threshold for the
-    whole pose would be finite.
+    ``bonferroni`` becomes ``max`` where only one threshold for the whole pose would be finite.
     """
     for fold, localizer in zip(folds.folds, localizers, strict=True):
-        _check_unseen(localizer, folds.first + fold.held_out)
+        _check_unseen(localizer, fold.held_out)
     held_out = folds.held_out
     units = None if folds.units is None else folds.units[held_out]
-    local = all(its.local for its in localizers) and (extended is None or extended[0].recognised is not None)
+    local = all(its.local for its in localizers)
 
     def rule(cells: QuantileBins, joint: Joint) -> SplitConformal:
         made = SplitConformal(cells, config.alpha, config.score, joint)
         made.rule.keep_scale()
         if is_per_unit(made.score) and joint == "max":
-            if extended is not None:
-                made.rule.scale_ = extended[0].overall.rule.scale_
-            else:  # by the targets' spread, which does not depend on calibration frames
-                made.rule.scale_ = 1 / np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9)
+            # by the targets' spread, which does not depend on calibration frames
+            made.rule.scale_ = 1 / np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9)
         return made
 
     asked = as_joint(config.joint)
-    joints: list[Joint] = [asked, "max"] if asked == "bonferroni" and extended is None else [asked]
+    joints: list[Joint] = [asked, "max"] if asked == "bonferroni" else [asked]
     scores: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
     found: list[Beliefs] = []
     beyond: list[bool] = []
@@ -104,7 +99,7 @@ def calibrate_regions(
             its.append(score_beliefs(rule(localizer.cells, joint), localizer, beliefs, data.targets[frames]))
         beyond += [its.out_of_range for its in localizer.supports(beliefs)]
         found.append(beliefs)
-    cells = belief_cells(data.bins_of(folds.region_frames)) if extended is None else extended[1]
+    cells = belief_cells(data.bins_of(folds.region_frames))
     known_p = np.ones(len(held_out))
     if novelty is not None:
         known_p, distances = _appearance(novelty, folds, data)
@@ -133,26 +128,19 @@ def calibrate_disturbed(
     localizers: Sequence[Localizer],
     calibrated: Calibrated,
     progress: StageProgress | None = None,
-    earlier: tuple[RegionRules, QualityRange | None] | None = None,
 ) -> tuple[Calibrated, QualityRange | None]:
     """Calibrate the evidence type of disturbed images, on copies of held-out frames that are disturbed at random.
 
-    Those count whose quality is beyond that of all frames that the sources learn from. `earlier` are the rules of a
-    model that is extended, whose copies count beside the new ones, and the range of its frames. Without local features,
-    or with too few copies, nothing changes.
+    Those count whose quality is beyond that of all frames that the sources learn from. Without local features, or with
+    too few copies, nothing changes.
     """
     rules, novelty = calibrated.rules, calibrated.novelty
     if rules.recognised is None or novelty is None:
         return calibrated, None
     known = data.local_features(folds.region_frames)
     quality = QualityRange.of(np.array([its.quality for its in known]))
-    before, its_range = earlier or (rules, None)
-    quality = quality if its_range is None else quality.joined(its_range)
     sequence = replace(data.sequence, noise=Disturbance(DISTURBED.seed, data.sequence.noise))
     found: list[tuple[RealArray, FloatArray, BoolArray, IntArray]] = []  # scores, novelty, out of range, units
-    if before.disturbed is not None and before.disturbed_p is not None and novelty.disturbed is not None:
-        its = novelty.disturbed
-        found.append((before.disturbed.scores_, its.scores_, before.disturbed_p == 0, its.groups))
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         most = -(-DISTURBED.most // len(folds.folds))
         frames = fold.held_out[:: -(-len(fold.held_out) // most)]

@@ -14,7 +14,6 @@ from conformodal.io import Recording, Split, SplitKind, held_out_together
 
 from .config import Calibration
 from .errors import OdometryError
-from .model import PoseModel
 from .settings import FOLDS
 
 
@@ -34,7 +33,6 @@ class Folds:
     region_frames: IntArray  # that the model's own sources learn from
     units: IntArray | None  # exchangeable units; None where every held-out frame is one
     pieces: IntArray  # frames of one piece are held out together in the novelty test
-    first: int = 0  # number of the first frame among all that sources know
     whole_recordings: bool = False  # whether units are recordings
 
     @property
@@ -64,23 +62,6 @@ def make_folds(
     if not whole:
         units = held_out_together(sequence.recording, SplitKind.BLOCKS)
     return Folds(_folds(used, units, split.seed), used, units, units, whole_recordings=whole)
-
-
-def make_added_folds(sequence: Recording, split: Split, model: PoseModel, n_blocks: int) -> Folds:
-    """The folds of recordings that are added to a model, from units as its own; `n_blocks` are the stretches.
-
-    Units and pieces are numbered on from the model's.
-    """
-    assert model.novelty is not None
-    first, next_piece = len(model.known_frames), int(model.novelty.test.groups.max()) + 1
-    if model.calibration.groups_ is None:
-        pieces = next_piece + held_out_together(sequence.recording, split.kind, n_blocks)
-        return Folds([Fold(split.train, split.calibration)], split.train, None, pieces, first)
-    used = np.sort(np.concatenate((split.train, split.calibration)))
-    whole = bool(model.configuration.get("whole_recordings"))
-    units = sequence.recording if whole else held_out_together(sequence.recording, SplitKind.BLOCKS, n_blocks)
-    units = next_piece + units
-    return Folds(_folds(used, units, split.seed), used, units, units, first, whole)
 
 
 def _folds(used: IntArray, units: IntArray, seed: int) -> list[Fold]:

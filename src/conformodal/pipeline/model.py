@@ -135,7 +135,7 @@ class PoseModel:
     @property
     def frames_are_exchangeable(self) -> bool:
         """Whether test frames are to those that calibrate: drawn with them, and answered by the same sources."""
-        return self.split.kind is SplitKind.INTERLEAVED and not self.configuration.get("extended")
+        return self.split.kind is SplitKind.INTERLEAVED
 
     @property
     def alpha(self) -> float:

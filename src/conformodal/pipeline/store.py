@@ -122,14 +122,10 @@ def _calibration_arrays(model: PoseModel) -> dict[str, AnyArray]:
         arrays["calibration.recognised"] = rules.recognised
     if rules.overall.groups_ is not None:
         arrays["calibration.groups"] = rules.overall.groups_
-    if rules.overall.batches_ is not None:
-        arrays["calibration.batches"] = rules.overall.batches_
     for path, rule in model.path_rules.items():
         arrays[f"calibration.{path}"] = rule.scores_.max(axis=1)
         if rule.groups_ is not None and rule.group_sizes_ is not None:
             arrays |= {f"calibration.{path}_groups": rule.groups_, f"calibration.{path}_sizes": rule.group_sizes_}
-        if rule.batches_ is not None:
-            arrays[f"calibration.{path}_batches"] = rule.batches_
     if rules.overall.joint == "max":
         arrays |= {"calibration.shift": rules.overall.rule.loc_, "calibration.scale": rules.overall.rule.scale_}
     return arrays
@@ -284,14 +280,13 @@ def _calibration(bins: QuantileBins, how: dict[str, Any], arrays: dict[str, AnyA
     calibration = SplitConformal(bins, float(how["alpha"]), how["score"], how["joint"])
     if calibration.joint == "max":
         calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
-    groups, batches = (arrays.get(f"calibration.{its}") for its in ("groups", "batches"))
-    return calibration.calibrate_scores(arrays["calibration.overall"], groups, batches=batches)
+    return calibration.calibrate_scores(arrays["calibration.overall"], arrays.get("calibration.groups"))
 
 
 def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], name: str) -> SplitConformal:
     rule = path_rule(rules.overall.bins, rules.overall.alpha)
     scores = np.repeat(arrays[name][:, None], rule.bins.n_targets, axis=1)
-    return rule.calibrate_scores(scores, *(arrays.get(f"{name}_{its}") for its in ("groups", "sizes", "batches")))
+    return rule.calibrate_scores(scores, *(arrays.get(f"{name}_{its}") for its in ("groups", "sizes")))
 
 
 def _novelty(arrays: dict[str, AnyArray], grid: tuple[int, int]) -> PlaceNovelty | None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -20,7 +18,6 @@ from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.novelty import PlaceNovelty
 from conformodal.localizer.prior import MotionPrior, fit_motion_prior
 from conformodal.localizer.settings import FILTER
-from conformodal.localizer.sources.registry import PoseSource
 from conformodal.localizer.targets import pose_targets
 from conformodal.tracking.motions import measure_motions
 
@@ -90,27 +87,21 @@ def train_model(
     data: TrainingData,
     config: ModelConfig,
     *,
-    checkpoint_dir: Path | None = None,
     progress: StageProgress | None = None,
-    fitted: Iterable[PoseSource] = (),
 ) -> PoseModel:
     """Train on the training part and calibrate; nothing is chosen on the test part.
 
     Where frames calibrate, the sources learn from the training part. Where stretches do, each stretch of training and
     calibration part is answered by sources that learnt from the others, and the model's own learn from all of them;
     the scores of both are compared on some frames of the test part.
-
-    `fitted` are sources of another model of the same data that do not use the network's features: those that learnt
-    from the same frames are reused.
     """
-    fitted = tuple(fitted)
     folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
-    sources = data.for_sources(config, checkpoint_dir, progress)
+    sources = data.for_sources(config, progress)
     parts = [fold.train for fold in folds.folds]
     if len(parts) > 1 or not np.array_equal(parts[0], folds.region_frames):
         parts.append(folds.region_frames)
     (*localizers, localizer), (motions, known_frames) = side_by_side(
-        lambda: Localizer.fit_each(sources, parts, config.sources, fitted),
+        lambda: Localizer.fit_each(sources, parts, config.sources),
         lambda: (_held_out_motions(data.sequence, folds, config, progress), identify(data.sequence)),
     )
     localizers = localizers or [localizer]

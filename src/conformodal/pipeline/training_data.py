@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 
 from conformodal.core.arrays import Float32Array, FloatArray, IntArray
 from conformodal.core.progress import StageProgress
@@ -40,9 +39,7 @@ class TrainingData:
         """Median depth in metres and standard deviation of its logarithm, from the training part; or NaN."""
         return measure_depths(self.sequence, self.split.train)
 
-    def for_sources(
-        self, config: ModelConfig, checkpoint_dir: Path | None = None, progress: StageProgress | None = None
-    ) -> SourceData:
+    def for_sources(self, config: ModelConfig, progress: StageProgress | None = None) -> SourceData:
         """The data as pose sources see them; local features and projections are cached for the next call."""
         return replace(
             self._shared,
@@ -52,7 +49,6 @@ class TrainingData:
             margin=config.margin,
             sigma_bins=config.sigma_bins,
             training=config.training,
-            checkpoint_dir=checkpoint_dir,
             progress=progress,
         )
 

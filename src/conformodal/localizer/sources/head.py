@@ -42,7 +42,6 @@ class HeadSource:
             soft_cross_entropy,
             data.training,
             projection=data.projection(frames, data.training.components),
-            checkpoint_dir=data.checkpoint_dir,
             progress=stage_of(data.progress, "training"),
         )
         return cls(head.trained(), frames)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from pathlib import Path
 from threading import Lock
 
 from conformodal.conformal import QuantileBins
@@ -46,8 +45,6 @@ class SourceData:
         Of the bins, and of the order-aware labels.
     training
         Of networks.
-    checkpoint_dir
-        Where networks store their state while they are trained; None stores nothing.
     progress
         Called with the stage, steps done and steps in all.
     """
@@ -63,7 +60,6 @@ class SourceData:
     margin: float = 0.02
     sigma_bins: float = 0.7
     training: TrainingConfig = field(default_factory=TrainingConfig)
-    checkpoint_dir: Path | None = None
     progress: StageProgress | None = None
     matcher: Matcher = field(default_factory=Matcher)
     _local_features: dict[int, LocalFeatures] = field(default_factory=dict)
