@@ -61,11 +61,11 @@ def test_a_damaged_network_is_named(small_world, tmp_path):
         load_model(folder)
 
 
-@pytest.mark.parametrize("module", ["region_rules", "radius", "errors"])
+@pytest.mark.parametrize("module", ["localizer.region_rules", "localizer.radius", "pipeline.errors"])
 def test_rules_of_regions_and_radii_need_no_package_for_images(module):
     found = run_script(f"""
         import sys
-        import conformodal.pipeline.{module}
+        import conformodal.{module}
         heavy = {{"cv2", "PIL", "onnxruntime", "poselib", "safetensors", "torch"}} & set(sys.modules)
         assert not heavy, heavy
     """)
