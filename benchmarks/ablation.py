@@ -54,7 +54,7 @@ from conformodal.features.extract import FeatureCache
 from conformodal.features.local import LocalFeatures, Matcher, extract_local_features
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory, trajectory_errors
-from conformodal.io import Recording, SplitKind, held_out_together, read_recording, read_sevenscenes
+from conformodal.io import Recording, SplitKind, read_recording, read_sevenscenes
 from conformodal.localizer.candidates import interval_runs
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
@@ -65,11 +65,8 @@ from conformodal.localizer.places import choose_places, own_hypotheses
 from conformodal.localizer.region_rules import RegionRules
 from conformodal.localizer.smoother import smooth
 from conformodal.localizer.sources.landmarks import LandmarkSource
-from conformodal.localizer.sources.neighbours.source import NeighbourSource
-from conformodal.localizer.sources.neighbours.tuning import fit_local
-from conformodal.localizer.sources.registry import PoseSource
 from conformodal.localizer.sources.source_data import SourceData
-from conformodal.localizer.targets import pose_targets, target_scale
+from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.calibrate import score_beliefs
 from conformodal.pipeline.config import Calibration, ModelConfig
 from conformodal.pipeline.model import Localization, PoseModel
@@ -100,7 +97,6 @@ SMALL = 0.03  # a part that changes an error by less is worth nothing there
 class Parts:
     """Parts that are used; all of them by default."""
 
-    neighbours: str = "both"  # "both", "network", "thumbnail" or "none"
     landmarks: bool = True
     submaps: bool = True
     rotations: bool = True
@@ -110,12 +106,9 @@ class Parts:
 
 
 ALL = Parts()
-BARE = Parts(neighbours="none", landmarks=False, submaps=False, smoother=False)
+BARE = Parts(landmarks=False, submaps=False, smoother=False)
 POSTERIOR = "posterior (each frame's most probable hypothesis)"
 REMOVED = {
-    "neighbours": replace(ALL, neighbours="none"),
-    "neighbours by the network's map": replace(ALL, neighbours="thumbnail"),
-    "neighbours by global descriptor": replace(ALL, neighbours="network"),
     "landmarks": replace(ALL, landmarks=False),
     "submaps": replace(ALL, submaps=False),
     "relative rotations": replace(ALL, rotations=False),
@@ -141,14 +134,12 @@ SWITCHES = {
 STEPS = {  # from the posterior on, each with one part more than the one before
     "modes of the softmax, posterior over them": replace(BARE, limits=False),
     "limits on speed and turning": BARE,
-    "neighbours": replace(BARE, neighbours="both"),
-    "landmarks": replace(BARE, neighbours="both", landmarks=True),
-    "smoother": replace(BARE, neighbours="both", landmarks=True, smoother=True),
+    "landmarks": replace(BARE, landmarks=True),
+    "smoother": replace(BARE, landmarks=True, smoother=True),
     "submaps: ours": ALL,
 }
 # Files, stages of training and times per frame that belong to one part alone.
 FILES = {
-    "neighbours": ["localization/neighbours/*.py"],
     "landmarks": ["localization/landmarks/*.py", "localization/local_features.py"],
     "submaps": ["motion/submaps.py", "motion/bundle.py", "poses/submap.py", "reasoning/submap_alignment.py"],
     "relative rotations": ["motion/relative_pose.py", "motion/two_view.py", "motion/tracker.py", "motion/frontend.py"],
@@ -157,7 +148,7 @@ FILES = {
     "smoother": ["reasoning/smoother.py", "reasoning/orientations.py"],
     "projection": ["vision/projection.py"],
 }
-STAGES = {"neighbours": ("neighbours",), "landmarks": ("local features", "landmarks")}
+STAGES = {"landmarks": ("local features", "landmarks")}
 TIMES = {**STAGES, POSTERIOR: ("posterior",), "smoother": ("smoother",)}
 
 
@@ -277,18 +268,6 @@ class Models:
         assert found is not None
         return found
 
-    def neighbours(self, view: str) -> PoseSource | None:
-        """Neighbours by one view alone: ``network`` or ``thumbnail``, the global descriptor."""
-        ours, config = self.ours, config_of(self.place, self.seed)
-        assert config is not None
-        frames, kind = ours.model.split.train, config.split
-        targets = prepare_training_data(self.sequence, config, self.cache).targets[frames]
-        pieces = held_out_together(self.sequence.recording, kind, given_test=self.sequence.given_test)[frames]
-        views = (getattr(feature_views(ours.features.shape[1]), view),)
-        return NeighbourSource.of(
-            *fit_local(ours.features[frames], targets, target_scale(targets), pieces, views=views), frames
-        )
-
     def _landmarks(self, data: SourceData, frames: IntArray) -> LandmarkSource | None:
         """A map does not depend on the network: the models of a place and seed share those of the same frames."""
         key = frames.tobytes()
@@ -328,11 +307,11 @@ def spaced(times: FloatArray, frames: IntArray, interval_s: float) -> IntArray:
 class Paths:
     """Paths of a trained model over some frames, with chosen parts."""
 
-    def __init__(self, trained: Trained, seen: Frames, others: dict[str, PoseSource] | None = None) -> None:
-        self.trained, self.seen, self.others = trained, seen, others or {}
+    def __init__(self, trained: Trained, seen: Frames) -> None:
+        self.trained, self.seen = trained, seen
         local = [seen.motions.local_features[i] for i in seen.frames.tolist()]
         self.evidence = FrameEvidence(trained.features[seen.frames], local)
-        self._cached: dict[tuple[object, ...], Localization] = {}
+        self._cached: dict[bool, Localization] = {}
 
     def path(self, parts: Parts) -> PosePath:
         """The path with the chosen parts."""
@@ -351,17 +330,13 @@ class Paths:
 
     def localization(self, parts: Parts) -> Localization:
         """Answers of the chosen pose sources, frame by frame."""
-        key = (parts.neighbours, parts.landmarks)
-        if key not in self._cached:
+        if parts.landmarks not in self._cached:
             model = self.trained.model
-            out = {n for n, used in (("neighbours", key[0] != "none"), ("landmarks", key[1])) if not used}
-            sources = {s.name: s for s in model.localizer.sources if s.name not in out}
-            if "neighbours" in sources:
-                sources["neighbours"] = self.others.get(parts.neighbours) or sources["neighbours"]
-            localizer = Localizer(tuple(sources.values()), model.bins, model.sign_reference)
+            sources = tuple(s for s in model.localizer.sources if parts.landmarks or s.name != "landmarks")
+            localizer = Localizer(sources, model.bins, model.sign_reference)
             model = replace(model, localizer=localizer) if localizer.local else self._without_landmarks(localizer)
-            self._cached[key] = model.localize(self.evidence)
-        return self._cached[key]
+            self._cached[parts.landmarks] = model.localize(self.evidence)
+        return self._cached[parts.landmarks]
 
     def _without_landmarks(self, localizer: Localizer) -> PoseModel:
         """The model with a localizer that uses no local features, calibrated by its answers to the held-out frames."""
@@ -453,7 +428,6 @@ def measured(place: str, seed: int, runs: Path) -> dict[str, Any]:
     cv2.setNumThreads(1)
     models = Models(place, seed, runs)
     ours = models.ours
-    others = {view: its for view in ("network", "thumbnail") if (its := models.neighbours(view)) is not None}
     retrained = {part: one for part, name in RETRAINED.items() if (one := models.trained(name)) is not None}
     found: dict[str, Any] = {
         "source": provenance()["source_revision"],
@@ -461,7 +435,7 @@ def measured(place: str, seed: int, runs: Path) -> dict[str, Any]:
     }
     for name, interval in ({"all": 0.0} if place in SPARSE else EVERY).items():
         seen = Frames(models.sequence, ours.model.split.test, interval)
-        paths = Paths(ours, seen, others)
+        paths = Paths(ours, seen)
 
         def errors(of: dict[str, Parts], paths: Paths = paths, seen: Frames = seen) -> dict[str, list[float]]:
             return {part: seen.error(paths.path(parts)) for part, parts in of.items()}

@@ -18,7 +18,7 @@ from common import REDKITCHEN, in_process, train_briefly, write_table
 from conformodal.io import Recording, read_image, read_sevenscenes
 
 SIZES = {"640x480": (640, 480), "1280x720": (1280, 720)}
-SOURCES = (("head", "neighbours", "landmarks"), ("head", "neighbours"))
+SOURCES = (("head", "landmarks"), ("head",))
 
 
 def enlarged(sequence: Recording, size: tuple[int, int], folder: Path) -> Recording:

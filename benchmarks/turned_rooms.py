@@ -50,7 +50,7 @@ def learn(folder: Path, seed: int) -> tuple[PoseModel, Recording, FeatureCache]:
         poses = visiting_path(N_VISITS, 2 * seed + k).poses_se3
         write_flight(folder / part / "seq-01", renderer, poses, noise_seed=(2 * seed + k) * 1_000_003)
     cache = FeatureCache(folder / "cache")
-    sources, training = ("head", "neighbours"), replace(TRAINING, seed=seed)
+    sources, training = ("head",), replace(TRAINING, seed=seed)
     config = ModelConfig(alpha=ALPHA, seed=seed, sources=sources, training=training)
     model = train_model(prepare_training_data(read_sevenscenes(folder / "train"), config, cache), config)
     return model, read_sevenscenes(folder / "test"), cache

@@ -32,7 +32,7 @@ def nearest(seen: Observations, prior: MotionPrior) -> PosePath:
 if __name__ == "__main__":
     with TemporaryDirectory() as folder:
         sequence = read_sevenscenes(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
-        config = ModelConfig(alpha=0.2, sources=("head", "neighbours"), training=TrainingConfig(epochs=20))
+        config = ModelConfig(alpha=0.2, sources=("head",), training=TrainingConfig(epochs=20))
         model = train_model(prepare_training_data(sequence, config, FeatureCache(None)), config)
         run = VisualOdometry(model).process(sequence, model.split.test)
         truth = sequence.require_truth()[run.frames]

@@ -19,7 +19,7 @@ from conformodal.pipeline.store import save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 from conformodal.report.figures import plan_figure
 
-QUICK = ModelConfig(sources=("head", "neighbours"), training=TrainingConfig(epochs=20))  # for the corridor
+QUICK = ModelConfig(sources=("head",), training=TrainingConfig(epochs=20))  # for the corridor
 
 
 def train_and_look(data: Path, config: ModelConfig, out: Path) -> None:

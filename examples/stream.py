@@ -22,7 +22,7 @@ from conformodal.pipeline.train import prepare_training_data, train_model
 
 def small_model(folder: Path) -> PoseModel:
     sequence = read_sevenscenes(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
-    config = ModelConfig(sources=("head", "neighbours"), training=TrainingConfig(epochs=20))
+    config = ModelConfig(sources=("head",), training=TrainingConfig(epochs=20))
     return train_model(prepare_training_data(sequence, config, FeatureCache(None)), config)
 
 

@@ -16,6 +16,7 @@ from experiments.baselines import (
     N_COMPONENTS,
     RegressionTask,
     deep_ensemble,
+    local_regression,
     mixture_density,
     mixture_loss,
     register_baseline,
@@ -73,7 +74,12 @@ def rmse(values, data):
 def test_all_learn_what_can_be_learnt(trained):
     data, tuned, task = trained
     x = data.features[data.split.test]
-    methods = {"tuned": tuned, "mixture": mixture_density(task), "ensemble": deep_ensemble(task)}
+    methods = {
+        "tuned": tuned,
+        "mixture": mixture_density(task),
+        "ensemble": deep_ensemble(task),
+        "local": local_regression(task),
+    }
     errors = {name: rmse(method.predict(x), data) for name, method in methods.items()}
     assert max(errors.values()) < 0.5 * data.targets.std(), errors
     assert errors["ensemble"] < 1.15 * errors["tuned"]

@@ -63,7 +63,7 @@ def test_a_training_that_is_stopped_leaves_the_model_before(small_world, tmp_pat
     for path in small_world.model.iterdir():
         (model / path.name).write_bytes(path.read_bytes())
     before = contents(model)
-    options = ["--cache", small_world.cache, "--epochs", "4000", "--sources", "head,neighbours"]
+    options = ["--cache", small_world.cache, "--epochs", "4000", "--sources", "head"]
     process = start("train", small_world.folder, "--out", model, *options)
     wait_for(process, (model / ".lock").exists)
     time.sleep(random.Random(how).random())

@@ -60,7 +60,7 @@ def proba_of(model, features):
         {"sigma_bins": 0.7},
         {"score": "density"},
         {"joint": "max"},
-        {"sources": ("head", "neighbours")},
+        {"sources": ("head", "landmarks")},
         {"novelty_level": 0.1},
         {"calibrate_on": Calibration.STRETCHES},
     ],

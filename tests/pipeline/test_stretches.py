@@ -17,7 +17,7 @@ from conformodal.pipeline.train import prepare_training_data, train_model
 @pytest.fixture(scope="module")
 def trained(small_world, sequence):
     config = ModelConfig(
-        calibrate_on=Calibration.STRETCHES, alpha=0.2, sources=("head", "neighbours"), training=TrainingConfig(epochs=1)
+        calibrate_on=Calibration.STRETCHES, alpha=0.2, sources=("head",), training=TrainingConfig(epochs=1)
     )
     data = prepare_training_data(sequence, config, FeatureCache(small_world.cache))
     folds = make_folds(sequence, data.split, config.calibrate_on)

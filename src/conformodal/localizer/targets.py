@@ -10,13 +10,6 @@ from conformodal.geometry import Trajectory, fix_sign
 TARGET_NAMES = ("x", "y", "z", "q_w", "q_x", "q_y", "q_z")
 
 
-def target_scale(targets: FloatArray) -> FloatArray:
-    """Units (7,) in which targets (n, 7) are compared: the spread of all positions, and that of all orientations."""
-    variance = targets.var(axis=0)
-    spread = np.sqrt([variance[:3].sum()] * 3 + [variance[3:].sum()] * 4)
-    return np.asarray(np.maximum(spread, 1e-6))
-
-
 def pose_targets(poses: Trajectory, sign_reference: FloatArray) -> FloatArray:
     """Targets (n, 7): metres, then the quaternion with the sign that `sign_reference` (4,) gives it."""
     return np.column_stack((poses.positions_xyz, fix_sign(poses.orientations_quat_wxyz, sign_reference)))

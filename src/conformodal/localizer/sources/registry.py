@@ -84,7 +84,7 @@ class PoseSource(Protocol):
         ...
 
 
-_BUILT_IN = {"head": ".head", "neighbours": ".neighbours.source", "landmarks": ".landmarks"}
+_BUILT_IN = {"head": ".head", "landmarks": ".landmarks"}
 _KINDS: dict[str, type[PoseSource]] = {}
 
 

@@ -1,1 +1,0 @@
-"""Regression among the training frames whose global features are nearest."""
