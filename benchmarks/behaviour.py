@@ -25,6 +25,7 @@ REDKITCHEN = DATA / "7scenes" / "redkitchen" / "seq-01"
 DESK, XYZ = DATA / "tum" / "fr1_desk", DATA / "tum" / "fr1_xyz"
 DEMO = ("--split", "interleaved", "--epochs", "40", "--dropout", "0.6", "--alpha", "0.02")
 SOURCES = "head,landmarks"
+ROUNDING = 1e-9
 _FLY = """
 import sys
 from pathlib import Path
@@ -84,19 +85,25 @@ def numbers(value: Any) -> list[float]:
     return [] if isinstance(value, str) else [np.inf if value is None else float(value)]
 
 
+def flattened(value: Any, name: str = "") -> dict[str, Any]:
+    """Numbers of nested objects by their path; text is left out."""
+    if isinstance(value, dict):
+        return {key: x for part in value for key, x in flattened(value[part], f"{name}.{part}").items()}
+    return {} if isinstance(value, str) else {name: value}
+
+
 def largest_difference(one: Any, other: Any) -> float:
     """Largest absolute difference of the numbers in two JSON values; infinite where their shapes differ."""
     a, b = np.array(numbers(one)), np.array(numbers(other))
     if a.shape != b.shape or not np.array_equal(np.isinf(a), np.isinf(b)):
         return np.inf
-    return float(np.abs(a - b)[np.isfinite(a)].max(initial=0.0))
+    bounded = np.isfinite(a)
+    return float(np.abs(a[bounded] - b[bounded]).max(initial=0.0))
 
 
 def compare(old: Path, new: Path, names: list[str]) -> None:
     """Print how the answers differ: the regions and evidence of each frame, each trajectory, the metrics."""
-    print(
-        "| world | frames | evidence equal | regions equal to 1e-9 | path regions equal | largest pose difference, m |"
-    )
+    print("| world | frames | evidence equal | regions equal | path regions equal | largest pose difference, m |")
     print("|---|---|---|---|---|---|")
     changed: list[str] = []
     for name in names:
@@ -105,18 +112,19 @@ def compare(old: Path, new: Path, names: list[str]) -> None:
         if before.keys() != after.keys():
             raise SystemExit(f"{name}: {len(before)} and {len(after)} frames, or other frames")
         shares = [
-            np.mean([largest_difference(before[f].get(key), after[f].get(key)) < 1e-9 for f in before])
+            np.mean([largest_difference(before[f].get(key), after[f].get(key)) < ROUNDING for f in before])
             for key in ("intervals", "path_places")
         ]
         evidence = np.mean([before[f]["evidence"] == after[f]["evidence"] for f in before])
         poses = [np.loadtxt(run / "trajectory.tum", ndmin=2) for run in runs]
         gap = np.abs(poses[0] - poses[1])[:, 1:].max() if poses[0].shape == poses[1].shape else np.inf
         print(f"| {name} | {len(before)} | {evidence:.3f} | {shares[0]:.3f} | {shares[1]:.3f} | {gap:.2g} |")
-        results = [json.loads((run / "metrics.json").read_text(encoding="utf-8"))["results"] for run in runs]
-        for method in sorted(results[0].keys() | results[1].keys()):
-            pair = [json.dumps(result.get(method), sort_keys=True) for result in results]
-            if pair[0] != pair[1]:
-                changed.append(f"{name}, {method}:\n  {pair[0]}\n  {pair[1]}")
+        metrics = [json.loads((run / "metrics.json").read_text(encoding="utf-8")) for run in runs]
+        for key in ("errors", "coverage", "path_coverage"):
+            pair = [flattened(values.get(key)) for values in metrics]
+            for part in sorted(pair[0].keys() | pair[1].keys()):
+                if largest_difference(*(side.get(part) for side in pair)) > ROUNDING:
+                    changed.append(f"{name}, {key}{part}: {pair[0].get(part)} -> {pair[1].get(part)}")
     print("\n".join(["", "metrics that differ:", *changed] if changed else ["", "all metrics are equal"]))
 
 
