@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import grouped_maximum_quantile, grouped_quantile
 from conformodal.geometry import Trajectory
+from conformodal.localizer.errors import LocalizationError
 from conformodal.localizer.radius import Guarantee, fit_pose_radius, pose_errors, recordings_needed
-from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.selection import recording_errors
 
@@ -50,7 +50,7 @@ def test_nine_recordings_suffice_for_a_tenth():
 
 @pytest.mark.parametrize("metres_per_rad", [0.0, -1.0, np.inf, np.nan])
 def test_a_weight_of_metres_is_positive_and_finite(metres_per_rad):
-    with pytest.raises(OdometryError, match="metres_per_rad must be positive and finite"):
+    with pytest.raises(LocalizationError, match="metres_per_rad"):
         fit_pose_radius([([0.1], [0.1])] * 9, 0.1, Guarantee.FRAME, "smoothed", metres_per_rad=metres_per_rad)
 
 

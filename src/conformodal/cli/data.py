@@ -208,7 +208,7 @@ def _report_overlaps(parts: list[Recording]) -> list[Overlap]:
         depth_m = float("nan") if known.truth is None else measure_depths(known, np.arange(len(known)))[0]
         new = its if its.camera == known.camera else as_camera(its, known.camera)
         found.append(measure_overlap(known, new, depth_m))
-        (report_strongly if found[-1].moved else report_line)(found[-1].describe(known.name, its.name))
+        (report_strongly if found[-1].frames_differ else report_line)(found[-1].describe(known.name, its.name))
     return found
 
 

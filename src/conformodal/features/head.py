@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erf, softmax
 
-from conformodal.core.arrays import Float32Array, IntArray, RealArray
+from conformodal.core.arrays import Float32Array, RealArray
 
 from .projection import Projection
 
 _EPSILON = 1e-5  # of the layer norm, torch's default
-_NEVER = -1e4  # logit of a probability that is 0 in double precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,19 +35,6 @@ class SoftmaxHead:
     def projection(self) -> Projection:
         """The projection of features that the head was trained behind."""
         return Projection(self.weights["offset"], self.weights["components"])
-
-    def widened(self, beyond: IntArray) -> SoftmaxHead:
-        """The head with more bins (d, 2) below and above those of each target, whose probability is 0."""
-        cuts = np.cumsum(self.outputs)[:-1]
-        weight, bias = (np.split(self.weights[f"output.{name}"], cuts) for name in ("weight", "bias"))
-        wide = {
-            "output.weight": np.concatenate([np.pad(w, (n, (0, 0))) for w, n in zip(weight, beyond, strict=True)]),
-            "output.bias": np.concatenate(
-                [np.pad(b, n, constant_values=_NEVER) for b, n in zip(bias, beyond, strict=True)]
-            ),
-        }
-        outputs = [int(k + n.sum()) for k, n in zip(self.outputs, beyond, strict=True)]
-        return SoftmaxHead({**self.weights, **wide}, outputs)
 
     def predict_proba(self, features: Float32Array) -> list[RealArray]:
         """Softmax of every target: d arrays (n, K_j), float64 so that rows sum to one closely."""

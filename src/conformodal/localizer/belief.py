@@ -98,29 +98,6 @@ def belief_cells(bins: QuantileBins) -> QuantileBins:
     return QuantileBins.from_edges(edges)
 
 
-def widened(bins: QuantileBins, targets: FloatArray, margin: float, per_bin: float) -> tuple[QuantileBins, IntArray]:
-    """Bins with more of them beyond their ends for targets (m, d) there, and how many below and above, (d, 2).
-
-    A new bin holds about `per_bin` targets, as the others do; the last reaches beyond them by the `margin`.
-    """
-    edges, beyond = [], np.zeros((bins.n_targets, 2), dtype=np.int64)
-    for own, values, count in zip(bins.edges_, targets.T, beyond, strict=True):
-        below, above = _outer(-own[0], -values, margin, per_bin), _outer(own[-1], values, margin, per_bin)
-        edges.append(np.concatenate((-below[::-1], own, above)))
-        count[:] = len(below), len(above)
-    return QuantileBins.from_edges(edges), beyond
-
-
-def _outer(end: float, values: FloatArray, margin: float, per_bin: float) -> FloatArray:
-    """Edges beyond the upper end of bins, increasing, for the values that are."""
-    values = values[values > end]
-    if not len(values):
-        return values
-    found = np.quantile(values, np.linspace(0, 1, max(round(len(values) / per_bin), 1) + 1)[1:])
-    found[-1] += margin * (found[-1] - end)
-    return np.unique(found)
-
-
 def on_cells(values: npt.NDArray[Kind], bins: QuantileBins) -> npt.NDArray[Kind]:
     """Values of bins (n, K) repeated for every cell in them, (n, cells); 0 beyond the bins."""
     return np.pad(np.repeat(values, cells_per_bin(bins), axis=1), ((0, 0), (BELIEF.beyond, BELIEF.beyond)))

@@ -15,7 +15,7 @@ from conformodal.core.parallel import go_on, in_threads
 from conformodal.localizer.sources.registry import PoseSource, SourceAnswer, find_source
 from conformodal.localizer.sources.source_data import SourceData
 
-from .belief import Beliefs, belief_cells, widened
+from .belief import Beliefs, belief_cells
 from .candidates import mode_candidates
 from .errors import LocalizationError
 from .evidence import FrameEvidence
@@ -85,27 +85,6 @@ class Localizer:
             )
             for k, frames in enumerate(parts)
         ]
-
-    def extended(self, data: SourceData, parts: Sequence[IntArray], first: int) -> list[Localizer]:
-        """A localizer for each part (m,) of new frames, which knows it beside what this one knows.
-
-        Sources with a method ``extended(data, frames, first, beyond)`` learn the part, see :class:`HeadSource`; others
-        stay as they are. New frames are numbered from `first` on.
-        """
-        per_bin = len(self.frames) / max(self.bins.sizes)
-
-        def learnt(frames: IntArray) -> Localizer:
-            bins, beyond = widened(self.bins, data.targets[frames], data.margin, per_bin)
-            its = (getattr(source, "extended", None) for source in self.sources)
-            sources = (
-                source if extend is None else extend(data, frames, first, beyond)
-                for source, extend in zip(self.sources, its, strict=True)
-            )
-            return replace(self, sources=tuple(sources), bins=bins)
-
-        *folds, whole = parts
-        last = learnt(whole)  # alone: most matches between keyframes of the others are among its own
-        return [*in_threads(learnt, folds), last]
 
     @property
     def frames(self) -> IntArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -37,11 +37,6 @@ class PlaceNovelty:
         if len(np.unique(pieces)) < 2:
             return None
         return cls(NoveltyTest(_descriptors(features, grid), pieces), grid)
-
-    def extended(self, features: Float32Array, pieces: IntArray) -> Self:
-        """With more known frames, of other pieces."""
-        references = np.concatenate((self.test.references, _descriptors(features, self.grid)))
-        return replace(self, test=NoveltyTest(references, np.concatenate((self.test.groups, pieces))))
 
     def calibrated(self, distances: FloatArray, recognition: FloatArray, groups: IntArray) -> NoveltyTest:
         """A test on what held-out frames (m,), exchangeable in their groups, are like with local features."""

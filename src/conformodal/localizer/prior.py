@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -41,24 +41,6 @@ class MotionPrior:
     depth_m: float = math.nan
     depth_spread: float = math.nan
     volume_m3: float = 1.0
-
-    def widened(self, other: MotionPrior, volume_m3: float) -> MotionPrior:
-        """A prior that allows what either allows, in another volume; depths stay."""
-        speeds, densities = (
-            tuple(np.maximum(own, np.interp(self.intervals_s, other.intervals_s, its)).tolist())
-            for own, its in (
-                (self.top_speed_mps, other.top_speed_mps),
-                (self.acceleration_density, other.acceleration_density),
-            )
-        )
-        turn_rate = max(self.turn_rate_rad_s, other.turn_rate_rad_s)
-        return replace(
-            self,
-            turn_rate_rad_s=turn_rate,
-            top_speed_mps=speeds,
-            acceleration_density=densities,
-            volume_m3=volume_m3,
-        )
 
     @property
     def place_m(self) -> float:

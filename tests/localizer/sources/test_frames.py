@@ -12,7 +12,6 @@ from conformodal.geometry import Trajectory
 from conformodal.io import Recording
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.settings import MAPPING
-from conformodal.localizer.sources.keyframes import LandmarkMap
 from conformodal.localizer.sources.landmarks import LandmarkSource
 from conformodal.localizer.sources.registry import SourceState
 from conformodal.localizer.sources.source_data import SourceData
@@ -90,19 +89,16 @@ def test_the_networks_map_retrieves_places_where_thumbnails_cannot(
 
     def nearest(grid):
         data = replace(data_of(world.poses_se3, stated_camera, depth_m, grid=grid), features=features)
-        source, found = LandmarkSource.fit(data, FRAMES), []
-        source = LandmarkSource.from_state(source.state())
+        source = LandmarkSource.from_state(LandmarkSource.fit(data, FRAMES).state())
         assert source.map.global_descriptors.shape == (len(FRAMES), 768)
         unmatched = FrameEvidence(np.zeros((2, 1), np.float32))
         assert source.answer(unmatched).measurements == [[], []]
         with monkeypatch.context() as patched:
             patched.setattr(
-                LandmarkMap,
-                "localize",
-                lambda its, image: found.append(its.global_descriptors @ image.global_descriptor) or [],
+                LandmarkSource, "localize", lambda self, image: self.map.global_descriptors @ image.global_descriptor
             )
-            source.answer(FrameEvidence(features[queries], images))
-        return FRAMES[np.argmax(found, axis=1)]
+            similarities = source.answer(FrameEvidence(features[queries], images)).measurements
+        return FRAMES[np.argmax(similarities, axis=1)]
 
     assert np.abs(nearest((2, 2)) - queries).max() <= 4
     assert np.abs(nearest(None) - queries[::-1]).max() <= 4

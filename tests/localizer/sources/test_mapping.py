@@ -9,7 +9,7 @@ from conformodal.features.local import Matcher, match
 from conformodal.geometry import Trajectory
 from conformodal.geometry.adjustment import choose_tracks
 from conformodal.geometry.camera_fit import Matches, fit_camera
-from conformodal.geometry.settings import ADJUSTMENT
+from conformodal.geometry.settings import ADJUSTMENT, TRIANGULATION
 from conformodal.geometry.shutter import NO_FLOW
 from conformodal.geometry.triangulation import Rays, triangulate
 from conformodal.localizer.settings import GUIDING, MAPPING, PNP
@@ -217,8 +217,8 @@ def test_a_corner_that_no_other_camera_sees_is_no_point():
 
 def test_points_without_parallax_or_behind_are_not_sound():
     centres = np.array([[0.0, 0, 0], [0.1, 0, 0]])
-    near = 0.1 / np.tan(1.5 * MAPPING.min_parallax_rad)
-    far = 0.1 / np.tan(0.5 * MAPPING.min_parallax_rad)
+    near = 0.1 / np.tan(1.5 * TRIANGULATION.min_parallax_rad)
+    far = 0.1 / np.tan(0.5 * TRIANGULATION.min_parallax_rad)
     _, sound = triangulate(rays_to(np.array([[0.0, 0, near], [0, 0, far]]), centres), 0.005)
     assert sound.tolist() == [True, False]
     behind = rays_to(np.array([[0.3, 0.1, -2.0]]), centres)  # a ray has no sign on the plane: it meets behind

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
@@ -45,10 +45,6 @@ class HeadSource:
             progress=stage_of(data.progress, "training"),
         )
         return cls(head.trained(), frames)
-
-    def extended(self, data: SourceData, frames: IntArray, first: int, beyond: IntArray) -> Self:
-        """The same head, which gives the bins beyond its own no probability."""
-        return replace(self, head=self.head.widened(beyond))
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """Probabilities of all bins."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -39,18 +39,6 @@ class LandmarkMap:
     descriptors: UInt8Array  # (N, 32)
     depth_m: float  # median depth of the scene
     corrections: FloatArray  # (n, 6) adjusted minus given pose of each keyframe: metres and a rotation vector, world
-
-    def with_keyframes(self, other: LandmarkMap) -> LandmarkMap:
-        """The map with the keyframes of another one that was built with its camera and mount."""
-        return replace(
-            self,
-            poses_se3=np.concatenate((self.poses_se3, other.poses_se3)),
-            global_descriptors=np.concatenate((self.global_descriptors, other.global_descriptors)),
-            starts=np.concatenate((self.starts, self.starts[-1] + other.starts[1:])),
-            points_xyz=np.concatenate((self.points_xyz, other.points_xyz)),
-            descriptors=np.concatenate((self.descriptors, other.descriptors)),
-            corrections=np.concatenate((self.corrections, other.corrections)),
-        )
 
     @cached_property
     def _descriptors(self) -> Float32Array:

@@ -14,7 +14,6 @@ from conformodal.core.progress import Progress, stage_of
 from conformodal.features.backbone import global_descriptors
 from conformodal.features.local import LocalFeatures, Matcher
 from conformodal.geometry import PinholeCamera, Trajectory, angle_between_quats
-from conformodal.geometry.camera_fit import Mounted
 from conformodal.localizer.error_model import ErrorModel, HeldOutErrors, fit_error_model
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.measurement import PoseMeasurement
@@ -96,22 +95,6 @@ class LandmarkSource:
         landmarks = build_map(features, truth.poses_se3, camera, depth_m, done(0), matcher)
         errors = _fit_errors(landmarks, features, truth, groups, left_out, done(n))
         return None if errors is None else cls(landmarks, frames, errors)
-
-    def extended(self, data: SourceData, frames: IntArray, first: int, beyond: IntArray) -> Self:
-        """With a map of new frames beside the old one, in its camera; the error model stays."""
-        if len(frames) < ERROR_MODEL.least_estimates:
-            return self
-        chosen, its = frames[evenly_spread(len(frames), MAPPING.max_keyframes)], self.map
-        added = build_map(
-            data.local_features(chosen),
-            data.sequence.require_truth()[chosen].poses_se3,
-            its.camera,
-            its.depth_m,
-            stage_of(data.progress, "landmarks"),
-            data.matcher,
-            Mounted(its.camera, its.T_pose_cam, its.shutter),
-        )
-        return replace(self, map=its.with_keyframes(added), frames=np.append(self.frames, first + frames))
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """One estimate per retrieval cluster; none for images without local features."""

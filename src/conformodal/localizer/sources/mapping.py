@@ -13,7 +13,7 @@ from conformodal.core.progress import Progress
 from conformodal.features.local import LocalFeatures, Matcher
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.adjustment import Adjusted, adjust, choose_tracks, given_frame_errors
-from conformodal.geometry.camera_fit import Matches, Mounted, fit_camera
+from conformodal.geometry.camera_fit import Matches, fit_camera
 from conformodal.geometry.settings import ADJUSTMENT
 from conformodal.geometry.triangulation import Rays, triangulate
 from conformodal.localizer.settings import MAPPING
@@ -30,15 +30,10 @@ def build_map(
     depth_m: float,
     progress: Progress | None = None,
     matcher: Matcher | None = None,
-    mounted: Mounted | None = None,
 ) -> LandmarkMap:
-    """Triangulate corners of n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps.
-
-    `mounted` is the camera of a map that this one will be added to; by default it is fitted.
-    """
+    """Triangulate corners of n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps."""
     pairs = _matched(features, _partners(poses_se3, depth_m), matcher or Matcher(), progress)
-    known_camera = mounted is not None
-    mounted = mounted or fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
+    mounted = fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
     features = [its.at_pose_time(mounted.shutter, camera) for its in features]
     before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
     chunks = [range(a, min(a + _FRAMES_AT_A_TIME, len(features))) for a in range(0, len(features), _FRAMES_AT_A_TIME)]
@@ -49,7 +44,7 @@ def build_map(
         return rays, *triangulate(rays, 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
 
     sigmas = np.repeat([ADJUSTMENT.sigma_rad, ADJUSTMENT.sigma_depths * depth_m], 3)
-    now = Adjusted(mounted, poses_se3 @ mounted.T_pose_cam, sigmas, known_camera)
+    now = Adjusted(mounted, poses_se3 @ mounted.T_pose_cam, sigmas)
     for _ in range(ADJUSTMENT.rounds):
         found = in_threads(partial(triangulated, now=now), chunks)
         camera = now.mounted.camera
