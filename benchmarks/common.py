@@ -1,13 +1,12 @@
-"""What the benchmarks share: where data lies, running a command, writing a table."""
+"""What the benchmarks share: where data lies, models, paths, numbers that are kept, tables and figures."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import platform
-import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import date
@@ -15,10 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy import stats
 
 from conformodal.geometry import RelativeMotion
 from conformodal.io import Recording
+from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
+from conformodal.localizer.observations import Observations, PosePath
+from conformodal.localizer.places import choose_places
 from conformodal.localizer.prior import MotionPrior
 from conformodal.pipeline.results.provenance import provenance
 
@@ -29,13 +32,6 @@ RESULTS = Path(__file__).parent / "results"
 sys.path.insert(0, str(ROOT))  # the package experiments
 SEEDS = (10, 11, 12, 13, 14)  # no value of a setting was chosen on them; 20 to 22 served to choose by
 UNLIMITED = 1e6  # radians and metres per second
-
-
-def spread(values: list[float], digits: int = 4) -> str:
-    """Median and range of a few repeats."""
-    if len(values) == 1:
-        return f"{values[0]:.{digits}f}"
-    return f"{np.median(values):.{digits}f} ({min(values):.{digits}f} to {max(values):.{digits}f})"
 
 
 def half_width(values: list[float]) -> float:
@@ -51,11 +47,16 @@ def mean_interval(values: list[float], digits: int = 4) -> str:
     return f"{np.mean(values):.{digits}f}" + ("" if np.isnan(half) else f" ± {half:.{digits}f}")
 
 
-def seconds_of(work: Callable[[], object]) -> float:
-    """Seconds that a call takes."""
-    started = time.perf_counter()
-    work()
-    return time.perf_counter() - started
+def rmse(errors: npt.ArrayLike) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def parser_with_seeds(description: str | None, seeds: tuple[int, ...] = SEEDS) -> argparse.ArgumentParser:
+    """A parser of the command line whose help is a script's docstring."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(seeds))
+    return parser
 
 
 def cached_json(file: Path, measure: Callable[[], Any]) -> Any:
@@ -68,33 +69,17 @@ def cached_json(file: Path, measure: Callable[[], Any]) -> Any:
     return json.loads(file.read_text(encoding="utf-8"))
 
 
-def train_briefly(sequence: Recording, folder: Path, *sources: str) -> Path:
-    """Save a model whose training is short: that does not change how fast it is."""
-    from conformodal.features.extract import FeatureCache  # noqa: PLC0415
-    from conformodal.features.settings import TrainingConfig  # noqa: PLC0415
-    from conformodal.pipeline.config import ModelConfig  # noqa: PLC0415 - torch
-    from conformodal.pipeline.store import save_model  # noqa: PLC0415
-    from conformodal.pipeline.train import prepare_training_data, train_model  # noqa: PLC0415
-
-    config = ModelConfig(sources=sources or ModelConfig().sources, training=TrainingConfig(epochs=5))
-    save_model(train_model(prepare_training_data(sequence, config, FeatureCache(None)), config), folder)
-    return folder
-
-
-def in_process(script: str, asked: object, cores: int) -> dict[str, Any]:
-    """The numbers that a script prints in a process of its own, kept to some cores."""
-    here = sorted(os.sched_getaffinity(0))[:cores]
-    done = subprocess.run(
-        [sys.executable, str(Path(__file__).with_name(script))],
-        input=json.dumps(asked),
-        capture_output=True,
-        text=True,
-        check=True,
-        preexec_fn=lambda: os.sched_setaffinity(0, here),
-        env={**os.environ, "OMP_NUM_THREADS": str(cores), "OPENBLAS_NUM_THREADS": str(cores)},
+def part_of(sequence: Recording, frames: npt.NDArray[np.int64], **changes: Any) -> Recording:
+    """Some frames of a recording, with other changes."""
+    return replace(
+        sequence,
+        image_paths=tuple(sequence.image_paths[i] for i in frames.tolist()),
+        timestamps_s=sequence.timestamps_s[frames],
+        recording=sequence.recording[frames],
+        truth=None if sequence.truth is None else sequence.truth[frames],
+        given_test=None,
+        **changes,
     )
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return found
 
 
 def without_limits(prior: MotionPrior) -> MotionPrior:
@@ -103,9 +88,20 @@ def without_limits(prior: MotionPrior) -> MotionPrior:
     return replace(prior, turn_rate_rad_s=UNLIMITED, top_speed_mps=speeds)
 
 
-def without_rotation(motion: RelativeMotion | None) -> RelativeMotion | None:
-    """A relative motion of which the rotation is not known."""
-    return None if motion is None else replace(motion, R_prev_next=None, rotation_sigma_rad=np.inf)
+def without_rotations(seen: Observations) -> Observations:
+    """Observations whose relative rotations are not known; submaps, which rest on them, are left out too."""
+
+    def unturned(motion: RelativeMotion | None) -> RelativeMotion | None:
+        return None if motion is None else replace(motion, R_prev_next=None, rotation_sigma_rad=np.inf)
+
+    return replace(seen, motions=[unturned(motion) for motion in seen.motions], submaps=())
+
+
+def filtered_path(seen: Observations, prior: MotionPrior, *, hindsight: bool = True) -> PosePath:
+    """The most probable places given all frames, or the frames up to each."""
+    posteriors = (hindsight_posteriors if hindsight else filter_posteriors)(seen, prior)
+    path, _ = choose_places(posteriors, seen.timestamps_s, prior)
+    return path
 
 
 def table_lines(header: list[str], rows: list[list[str]]) -> list[str]:
@@ -122,12 +118,28 @@ def write_page(name: str, title: str, command: str, *blocks: str | list[str]) ->
     """Print a Markdown page and keep it likewise; a block is a paragraph, or the lines of a table or a list."""
     made = provenance()
     packages = ", ".join(f"{k} {v}" for k, v in made["packages"].items())
-    written = (
+    source = (
         f"{date.today()}, source {made['source_revision']}, {platform.machine()} with {os.cpu_count()} cores, "
         f"Python {made['python']}, {packages}."
     )
-    parts = [f"# {title}", f"`{command}`", *blocks, written]
+    parts = [f"# {title}", f"`{command}`", *blocks, source]
     page = "\n\n".join(part if isinstance(part, str) else "\n".join(part) for part in parts) + "\n"
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / f"{name}.md").write_text(page, encoding="utf-8")
     print(page)
+
+
+def new_axes(name: str, size: tuple[float, float], rows: int = 1) -> Any:
+    """A figure and its axes, drawn the same way each time."""
+    import matplotlib as mpl  # noqa: PLC0415 - only scripts that draw need it
+
+    mpl.use("Agg")
+    mpl.rcParams.update({"svg.hashsalt": name, "svg.fonttype": "none", "font.size": 9})
+    from matplotlib import pyplot as plt  # noqa: PLC0415
+
+    return plt.subplots(rows, 1, figsize=size, sharex=True, layout="constrained")
+
+
+def save_picture(figure: Any, name: str) -> None:
+    """Keep a figure among the pictures of the documentation."""
+    figure.savefig(ROOT / "docs" / "images" / f"{name}.svg", metadata={"Date": None})

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import re
 import warnings
-from dataclasses import replace
 
 import numpy as np
-from common import DATA, REDKITCHEN, write_table
+from common import DATA, REDKITCHEN, part_of, write_table
 
 from conformodal.geometry import PinholeCamera
 from conformodal.io import DatasetError, DatasetWarning, Recording, read_recording
@@ -26,19 +25,11 @@ RECORDINGS = {
 QUARTERS = 4
 
 
-def part_of(sequence: Recording, frames: np.ndarray) -> Recording:
+def without_camera(sequence: Recording, frames: np.ndarray) -> Recording:
     """Some frames, by a camera of which only the size is known."""
     width, height = sequence.camera.width, sequence.camera.height
-    return replace(
-        sequence,
-        image_paths=tuple(sequence.image_paths[i] for i in frames),
-        timestamps_s=sequence.timestamps_s[frames],
-        recording=sequence.recording[frames],
-        camera=PinholeCamera(width, width, width / 2, height / 2, width, height),
-        truth=sequence.require_truth()[frames],
-        given_test=None,
-        notes=(),
-    )
+    camera = PinholeCamera(width, width, width / 2, height / 2, width, height)
+    return part_of(sequence, frames, camera=camera, notes=())
 
 
 def row_of(name: str, sequence: Recording, true_px: float) -> list[str]:
@@ -47,9 +38,9 @@ def row_of(name: str, sequence: Recording, true_px: float) -> list[str]:
         fitted = with_fitted_focal(sequence)
     except DatasetError:
         return [*head, "refused", "", "", "", ""]
-    found = re.search(r"between (\d+) and (\d+)", dict(fitted.notes)[FITTED])
-    assert found is not None
-    low, high = int(found[1]), int(found[2])
+    limits = re.search(r"between (\d+) and (\d+)", dict(fitted.notes)[FITTED])
+    assert limits is not None
+    low, high = int(limits[1]), int(limits[2])
     px = fitted.camera.fx
     half = 100 * np.log(high / low) / 2
     error = 100 * (px / true_px - 1)
@@ -63,27 +54,16 @@ def main() -> None:
     for name, (folder, true_px) in RECORDINGS.items():
         sequence = read_recording(folder)
         every = np.arange(len(sequence))
-        rows.append(row_of(name, part_of(sequence, every), true_px))
-        quarters = np.array_split(every, QUARTERS)
-        rows += [row_of(f"{name}, quarter {k}", part_of(sequence, its), true_px) for k, its in enumerate(quarters, 1)]
-    write_table(
-        "focal",
-        "Focal lengths fitted to poses and images",
-        "python benchmarks/focal.py",
-        [
-            "recording",
-            "frames",
-            "true, px",
-            "fitted, px",
-            "error, %",
-            "95 % range, px",
-            "half of it, %",
-            "holds the truth",
-        ],
-        rows,
+        parts = {name: every}
+        parts |= {f"{name}, quarter {k}": part for k, part in enumerate(np.array_split(every, QUARTERS), 1)}
+        rows += [row_of(label, without_camera(sequence, part), true_px) for label, part in parts.items()]
+    header = ["recording", "frames", "true, px", "fitted, px", "error, %", "95 % range, px", "half of it, %"]
+    note = (
         "The principal point is taken as the middle and the lens as without distortion, and neither is. The true focal "
-        "lengths are those of cameras with distortion (TUM) and of COLMAP (redkitchen).",
+        "lengths are those of cameras with distortion (TUM) and of COLMAP (redkitchen)."
     )
+    title, command = "Focal lengths fitted to poses and images", "python benchmarks/focal.py"
+    write_table("focal", title, command, [*header, "holds the truth"], rows, note)
 
 
 if __name__ == "__main__":

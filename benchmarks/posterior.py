@@ -1,19 +1,20 @@
 """Regions and poses from one image, from the frames so far, at a lag of ten frames, and in hindsight.
 
-python benchmarks/posterior.py [--seeds 10 11 12 13 14] [--places corridor] [--table NAME] [--runs ablation-out]
+python benchmarks/posterior.py [--seeds 10 11 12 13 14] [--places corridor] [--runs ablation-out]
 
 Models are those of ablation.py and cached with it.
 """
 
 from __future__ import annotations
 
-import argparse
 import shlex
+import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from ablation import Models
-from common import RESULTS, ROOT, SEEDS, cached_json, mean_interval, write_table
+from common import RESULTS, ROOT, cached_json, mean_interval, parser_with_seeds, rmse, write_table
 
 from conformodal.core.arrays import FloatArray, rows_by_label
 from conformodal.localizer.filter import Window, filter_posteriors
@@ -22,24 +23,23 @@ from conformodal.localizer.regions import PoseRegions
 from conformodal.localizer.settings import FILTER
 from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.estimates import OdometryRun
-from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.model import LAGGED, PoseModel
 
 PLACES = {"corridor": "ours", "redkitchen, blocks": "stretches"}  # with the model, by what calibrates it
-FAR_M, ALPHA = 0.3, 0.1
+FAR_M = 0.3
 COLUMNS = {
     "rmse_m": 3, "far": 3, "coverage": 3, "places": 2, "most_places": 0, "length_m": 3, "unbounded": 3,
     "reliable": 2, "elsewhere": 3,
 }  # fmt: skip
 
 
-def off_by(positions: FloatArray, truth: FloatArray) -> dict[str, float]:
+def position_errors(positions: FloatArray, truth: FloatArray) -> dict[str, float]:
     """RMSE in metres, and the share of frames that are far off."""
     off = np.linalg.norm(positions - truth, axis=1)
-    return {"rmse_m": float(np.sqrt(np.mean(off**2))), "far": float(np.mean(off > FAR_M))}
+    return {"rmse_m": rmse(off), "far": float(np.mean(off > FAR_M))}
 
 
-def sizes(regions: PoseRegions, targets: FloatArray) -> dict[str, float]:
+def region_numbers(regions: PoseRegions, targets: FloatArray) -> dict[str, float]:
     """Coverage of the whole pose; of bounded regions, the places that they name and the mean length along an axis."""
     bounded = ~regions.unbounded.any(axis=1)
     return {
@@ -58,79 +58,69 @@ def lagged(models: Models, model: PoseModel, run: OdometryRun) -> dict[str, floa
         seen = run.observations(at)
         forward = filter_posteriors(seen, model.prior)
         parts = [slice(k, k + FILTER.lag + 1) for k in range(len(at) - FILTER.lag)]
-        its = [Window(seen.part(part), forward[part]).first(model.prior) for part in parts]
-        best, _ = choose_places(its, run.timestamps_s[at[: len(its)]], model.prior)
-        rows.append(at[: len(its)])
-        posteriors += its
+        first = [Window(seen.part(part), forward[part]).first(model.prior) for part in parts]
+        best, _ = choose_places(first, run.timestamps_s[at[: len(first)]], model.prior)
+        rows.append(at[: len(first)])
+        posteriors += first
         positions.append(best.positions_xyz)
     frames = np.concatenate(rows)
     truth = models.sequence.require_truth()[run.frames[frames]]
     regions = model.path_regions(run.localization.beliefs.part(frames), posteriors, LAGGED)
     assert regions is not None
-    off = off_by(np.concatenate(positions), truth.positions_xyz)
-    return off | sizes(regions, pose_targets(truth, model.sign_reference))
+    errors = position_errors(np.concatenate(positions), truth.positions_xyz)
+    return errors | region_numbers(regions, pose_targets(truth, model.sign_reference))
 
 
 def measured(place: str, seed: int, runs: Path) -> dict[str, dict[str, float]]:
     """All numbers of a place and a seed, for its test part."""
     models = Models(place, seed, runs)
-    trained = models.trained(PLACES[place])
-    assert trained is not None
-    model = trained.model
-    model.recalibrate(ALPHA)
-    run = VisualOdometry(model).process(models.sequence, model.split.test, cache=models.cache)
+    model = models.trained(PLACES[place])
+    run = models.run(model)
     truth = models.sequence.require_truth()[run.frames]
     targets = pose_targets(truth, model.sign_reference)
-    alone = np.array([its.positions_xyz[np.argmax(its.log_mass)] for its in run.candidates])
-    found = {"image alone": off_by(alone, truth.positions_xyz) | sizes(run.regions, targets)}
+    alone = np.array([each.positions_xyz[np.argmax(each.log_mass)] for each in run.candidates])
+    numbers = {"image alone": position_errors(alone, truth.positions_xyz) | region_numbers(run.regions, targets)}
     for path, regions in run.path_regions.items():
-        found[path] = off_by(run.trajectories[path].positions_xyz, truth.positions_xyz) | sizes(regions, targets)
-    found["smoothed"] = off_by(run.trajectories["smoothed"].positions_xyz, truth.positions_xyz)
-    found["lagged"] = lagged(models, model, run)
+        errors = position_errors(run.trajectories[path].positions_xyz, truth.positions_xyz)
+        numbers[path] = errors | region_numbers(regions, targets)
+    numbers["smoothed"] = position_errors(run.trajectories["smoothed"].positions_xyz, truth.positions_xyz)
+    numbers["lagged"] = lagged(models, model, run)
     online = run.trajectories["online"]
     wrong = ~same_place(online, truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
     missed = ~run.path_regions["online"].contains(targets, joint=True)
     elsewhere = float(np.mean(run.reliable & wrong & missed))
-    found["online"] |= {"reliable": float(run.reliable.mean()), "elsewhere": elsewhere}
-    return found
+    numbers["online"] |= {"reliable": float(run.reliable.mean()), "elsewhere": elsewhere}
+    return numbers
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
+    parser = parser_with_seeds(__doc__)
     parser.add_argument("--places", nargs="+", choices=PLACES, default=list(PLACES))
-    parser.add_argument("--table", default="posterior")
     parser.add_argument("--runs", type=Path, default=ROOT / "ablation-out")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     rows = []
-    for place in asked.places:
-        of = []
-        for seed in asked.seeds:
-            file = RESULTS / "posterior" / f"{place.replace(', ', '_')}-{seed}.json"
-            of.append(cached_json(file, lambda place=place, seed=seed: measured(place, seed, asked.runs)))
-        for method in of[0]:
+    for place in options.places:
+        files = {seed: RESULTS / "posterior" / f"{place.replace(', ', '_')}-{seed}.json" for seed in options.seeds}
+        by_seed = [cached_json(file, partial(measured, place, seed, options.runs)) for seed, file in files.items()]
+        for method in by_seed[0]:
             row = [place, method]
             for key, digits in COLUMNS.items():
-                row.append(mean_interval([one[method][key] for one in of if key in one[method]], digits))
+                row.append(mean_interval([each[method][key] for each in by_seed if key in each[method]], digits))
             rows.append(row)
     header = ["place", "from", "rmse_m", "far", "coverage", "places", "most", "length_m", "unbounded"]
     header += ["reliable", "elsewhere"]
     note = (
-        f"Mean and 95 % interval over seeds {asked.seeds}; settings of the filter were chosen on seeds 20 and 21 "
+        f"Mean and 95 % interval over seeds {options.seeds}; settings of the filter were chosen on seeds 20 and 21 "
         "(corridor), 11, 13 and 20 to 23 (redkitchen) and 20 (fr1), of fusion on 20 (corridor, fr1) and 20 to 22 "
         "(redkitchen; what it mends was found on 13). Frames calibrate in the corridor, stretches on "
-        f"redkitchen. Far: over {FAR_M} m, as a share of the frames. Coverage of the whole pose, alpha = {ALPHA}; what "
+        f"redkitchen. Far: over {FAR_M} m, as a share of the frames. Coverage of the whole pose, alpha = 0.1; what "
         "calibrates regions is in docs/guarantees.md. Lagged: ten frames later, without the last ten of a recording. "
         "Places: cuboids of bounded regions, mean and most; length: median over their frames of "
         "the mean along x, y and z. Unbounded and reliable: share of the frames; elsewhere: share of all frames that "
         "are reliable, miss the pose and have the chosen pose at another place."
     )
-    line = f"python benchmarks/posterior.py --seeds {' '.join(map(str, asked.seeds))}"
-    if asked.table != "posterior":
-        line += f" --places {' '.join(map(shlex.quote, asked.places))} --table {asked.table}"
-    write_table(
-        asked.table, "Regions and poses: one image, the frames so far, a lag, hindsight", line, header, rows, note
-    )
+    title = "Regions and poses: one image, the frames so far, a lag, hindsight"
+    write_table("posterior", title, shlex.join(["python", *sys.argv]), header, rows, note)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Map one recording, answer another: TUM freiburg1, from fr1_desk to fr1_xyz and back.
 
 python benchmarks/recordings.py [--seed 10] [--runs FOLDER]
+python benchmarks/recordings.py --draw     # the picture of README: fr1_xyz, answered with a map of fr1_desk
 
 Ours, the paper's system, and pycolmap. Its numbers are kept as ours are; to measure them anew, delete those in
 benchmarks/results/recordings and install benchmarks/peers/recordings.txt.
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import DATA, RESULTS, ROOT, cached_json, table_lines, write_page
+from common import DATA, RESULTS, ROOT, cached_json, new_axes, rmse, save_picture, table_lines, write_page
 from scipy.stats import chi2
 
 from conformodal.core.arrays import BoolArray, FloatArray
@@ -36,6 +37,10 @@ NEAR_M, NEAR_RAD, ALPHA = 0.3, np.radians(30.0), 0.1
 SYSTEMS = {Method.CONFORMODAL: "ours", Method.PAPER: "the paper's"}
 PEERS = {"fixed": "pycolmap, poses as given", "refined": "pycolmap, poses refined"}
 TIMED, FAR_M = 60, 0.3  # frames whose time is taken; a large error
+SHOWN = (  # in the picture
+    ("conformodal", "online", "ours: regions", "#2166ac"),
+    ("pycolmap", "refined", "pycolmap: ellipsoids", "#b2182b"),
+)
 MOST_ASKED = 100  # images that the peer answers, evenly spread
 
 
@@ -74,8 +79,6 @@ def measured(source: str, target: str, seed: int, runs: Path, method: Method) ->
             found[name] |= {
                 "unbounded": float(1 - bounded.sum() / near.sum()),
                 "coverage": float(held[bounded].mean()),
-                "least_target": float(each[bounded].mean(axis=0).min()),
-                "most_target": float(each[bounded].mean(axis=0).max()),
                 "length_m": float(np.median(lengths[bounded])),
                 "localised": float(bounded.sum() / near.sum()),
                 "position_held": float(each[bounded, :3].all(axis=1).mean()),
@@ -93,7 +96,7 @@ def measured(source: str, target: str, seed: int, runs: Path, method: Method) ->
 
 def _errors(off: FloatArray) -> dict[str, float]:
     return {
-        "rmse_m": float(np.sqrt(np.mean(off**2))),
+        "rmse_m": rmse(off),
         "median_m": float(np.median(off)),
         "far": float(np.mean(off > FAR_M)),
     }
@@ -134,13 +137,33 @@ def measured_peer(source: str, target: str, runs: Path) -> dict[str, dict[str, f
     return found
 
 
+def draw(runs: Path) -> None:
+    """Errors over stated uncertainties, ours and the peer's."""
+    figure, axis = new_axes("recordings", (7.2, 3.0))
+    for file, name, label, colour in SHOWN:
+        frames = json.loads((runs / f"fr1_xyz-{file}.json").read_text())[name]
+        off, half = np.array(frames["off_m"], float), np.array(frames["length_m"], float) / 2
+        axis.plot(half, off, ".", ms=4, color=colour, label=label)
+    low, high = 3e-4, 1.0
+    axis.plot([low, high], [low, high], color="black", lw=0.8)
+    axis.text(0.0004, 0.4, "error above the stated one", fontsize=8)
+    axis.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high))
+    axis.set(xlabel="stated: half the length at 0.9, mean over x, y, z (m)", ylabel="error of the position (m)")
+    axis.legend(loc="lower right", frameon=False)
+    save_picture(figure, "recordings")
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=10)
     parser.add_argument("--runs", type=Path, default=ROOT / "recordings-out")
-    asked = parser.parse_args()
-    asked.runs.mkdir(parents=True, exist_ok=True)
-    columns = ("rmse_m", "median_m", "unbounded", "coverage", "least_target", "most_target", "length_m", "reliable")
+    parser.add_argument("--draw", action="store_true")
+    options = parser.parse_args()
+    if options.draw:
+        draw(options.runs)
+        return
+    options.runs.mkdir(parents=True, exist_ok=True)
+    columns = ("rmse_m", "median_m", "unbounded", "coverage", "length_m", "reliable")
     beside = ("median_m", "rmse_m", "far", "localised", "position_held", "length_m", "ms", "map_s", "mb")
     digits = {"rmse_m": 4, "median_m": 4, "ms": 0, "map_s": 0, "mb": 1}
     rows, peers = [], []
@@ -150,21 +173,21 @@ def main() -> None:
 
     for source, target in PAIRS:
         for method, system in SYSTEMS.items():
-            file = RESULTS / "recordings" / f"{source}-{asked.seed}-{method}.json"
-            found = cached_json(file, partial(measured, source, target, asked.seed, asked.runs, method))
+            file = RESULTS / "recordings" / f"{source}-{options.seed}-{method}.json"
+            found = cached_json(file, partial(measured, source, target, options.seed, options.runs, method))
             frames, costs = found.pop("frames"), found.pop("costs", {})
             shown = f"{target} from {source}, {frames['near']} of {frames['all']} frames"
             rows += [[shown, system, name, *numbers(row, columns)] for name, row in found.items()]
             if method is Method.CONFORMODAL:
                 peers += [[shown, f"ours, {name}", *numbers(row | costs, beside)] for name, row in found.items()]
         file = RESULTS / "recordings" / f"{source}-pycolmap.json"
-        found = cached_json(file, partial(measured_peer, source, target, asked.runs))
+        found = cached_json(file, partial(measured_peer, source, target, options.runs))
         peers += [[shown, PEERS[name], *numbers(row, beside)] for name, row in found.items()]
     note = (
-        f"Frames with a known view within {NEAR_M} m and 30 degrees. Split `blocks`, seed {asked.seed}, alpha {ALPHA}: "
-        "stretches of the mapped recording calibrate, so nothing is guaranteed for another recording. Coverage is that "
-        "of bounded regions, of the whole pose, and of the least and the most covered target; the paper asks 0.9 of "
-        "each target, ours of the whole pose. Length is the median over frames of the mean along x, y and z."
+        f"Frames with a known view within {NEAR_M} m and 30 degrees. Split `blocks`, seed {options.seed}, "
+        f"alpha {ALPHA}: stretches of the mapped recording calibrate, so nothing is guaranteed for another recording. "
+        "Coverage is that of bounded regions, of the whole pose; the paper asks 0.9 of each target. Length is the "
+        "median over frames of the mean along x, y and z."
     )
     peer_note = (
         f"pycolmap 4.2.1 with SIFT on the same frames, at most {MOST_ASKED} evenly spread ones, each image alone "
@@ -178,7 +201,7 @@ def main() -> None:
     write_page(
         "recordings",
         "Another recording of a known place",
-        f"python benchmarks/recordings.py --seed {asked.seed}",
+        f"python benchmarks/recordings.py --seed {options.seed}",
         table_lines(["frames", "system", "from", *columns], rows),
         note,
         table_lines(["frames", "system", *beside], peers),

@@ -18,7 +18,7 @@ import numpy as np  # noqa: E402
 from conformodal.features.backbone import Backbone  # noqa: E402
 from conformodal.io import read_image  # noqa: E402
 from conformodal.localizer.filter import PoseFilter  # noqa: E402
-from conformodal.localizer.sources import landmarks  # noqa: E402
+from conformodal.localizer.sources.landmarks import LandmarkSource  # noqa: E402
 from conformodal.pipeline import estimator  # noqa: E402
 from conformodal.pipeline.estimator import VisualOdometry  # noqa: E402
 from conformodal.pipeline.model import PoseModel  # noqa: E402
@@ -31,23 +31,23 @@ PARTS = ("network", "tracking and relative pose", "local features", "landmarks",
 def answer(model: Path, images: list[str]) -> dict[str, Any]:
     """What one stream costs."""
     odometry = VisualOdometry.load(model)
-    first, spent, frames = 0.0, defaultdict(float), []
+    first_s, seconds, frames_ms = 0.0, defaultdict(float), []
     for k, path in enumerate(images):
         image = read_image(Path(path))
         if k == 1:
-            first = time.perf_counter() - BEGAN
+            first_s = time.perf_counter() - BEGAN
         if k == WARM:
-            watch(spent)
+            time_parts(seconds)
         started = time.perf_counter()
         odometry.step(image, k / 30)
         if k >= WARM:
-            frames.append(1e3 * (time.perf_counter() - started))
+            frames_ms.append(1e3 * (time.perf_counter() - started))
     return {
-        "median": float(np.median(frames)),
-        "p99": float(np.percentile(frames, 99)),
-        "mean": float(np.mean(frames)),
-        "parts": {name: 1e3 * spent[name] / len(frames) for name in PARTS},
-        "first_s": first,
+        "median": float(np.median(frames_ms)),
+        "p99": float(np.percentile(frames_ms, 99)),
+        "mean": float(np.mean(frames_ms)),
+        "parts": {name: 1e3 * seconds[name] / len(frames_ms) for name in PARTS},
+        "first_s": first_s,
         "resident_mb": peak_mb(),
     }
 
@@ -58,30 +58,30 @@ def peak_mb() -> float:
     return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) / 1e3
 
 
-def watch(spent: dict[str, float]) -> None:
-    """Time spent in parts of an estimator, from now on."""
-    watched = [
+def time_parts(seconds: dict[str, float]) -> None:
+    """Add the time that parts of an estimator take from now on to `seconds`, by their names."""
+    timed_calls = [
         (Backbone, "features_of", "network"),
         (MotionFrontEnd, "measure", "tracking and relative pose"),
         (estimator, "extract_local_features", "local features"),
-        (landmarks.LandmarkSource, "answer", "landmarks"),
+        (LandmarkSource, "answer", "landmarks"),
         (PoseModel, "image_regions", "regions"),
         (PoseModel, "path_regions", "regions"),
         (PoseFilter, "push", "filter"),
     ]
 
-    def wrap(inner: Callable[..., Any], name: str) -> Callable[..., Any]:
-        def timed(*arguments: Any, **options: Any) -> Any:
+    def timed(call: Callable[..., Any], name: str) -> Callable[..., Any]:
+        def wrapper(*arguments: Any, **options: Any) -> Any:
             started = time.perf_counter()
             try:
-                return inner(*arguments, **options)
+                return call(*arguments, **options)
             finally:
-                spent[name] += time.perf_counter() - started
+                seconds[name] += time.perf_counter() - started
 
-        return timed
+        return wrapper
 
-    for owner, method, name in watched:
-        setattr(owner, method, wrap(getattr(owner, method), name))
+    for owner, method, name in timed_calls:
+        setattr(owner, method, timed(getattr(owner, method), name))
 
 
 if __name__ == "__main__":

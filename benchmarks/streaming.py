@@ -8,14 +8,24 @@ Each row is a process of its own, kept to its cores, that knows a saved model an
 from __future__ import annotations
 
 import argparse
+import json
+import os
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
-from common import REDKITCHEN, in_process, train_briefly, write_table
+from common import REDKITCHEN, write_table
 
+from conformodal.features.extract import FeatureCache
+from conformodal.features.settings import TrainingConfig
 from conformodal.io import Recording, read_image, read_sevenscenes
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.store import save_model
+from conformodal.pipeline.train import prepare_training_data, train_model
 
 SIZES = {"640x480": (640, 480), "1280x720": (1280, 720)}
 SOURCES = (("head", "landmarks"), ("head",))
@@ -36,35 +46,58 @@ def enlarged(sequence: Recording, size: tuple[int, int], folder: Path) -> Record
         cropped = cv2.cvtColor(image[top : top + height], cv2.COLOR_RGB2BGR)
         cv2.imwrite(str(folder / "seq-01" / path.name), cropped)
         pose = path.name.replace(".color", ".pose")
-        source = path.with_name(pose).with_suffix(".txt")
-        (folder / "seq-01" / source.name).write_bytes(source.read_bytes())
+        pose_file = path.with_name(pose).with_suffix(".txt")
+        (folder / "seq-01" / pose_file.name).write_bytes(pose_file.read_bytes())
     return read_sevenscenes(folder)
+
+
+def train_briefly(sequence: Recording, folder: Path, sources: tuple[str, ...]) -> Path:
+    """Save a model whose training is short: that does not change how fast it is."""
+    config = ModelConfig(sources=sources, training=TrainingConfig(epochs=5))
+    save_model(train_model(prepare_training_data(sequence, config, FeatureCache(None)), config), folder)
+    return folder
+
+
+def stream_costs(model: Path, images: list[str], cores: int) -> dict[str, Any]:
+    """What a stream costs in a process of its own, kept to some cores."""
+    allowed = sorted(os.sched_getaffinity(0))[:cores]
+    finished = subprocess.run(
+        [sys.executable, str(Path(__file__).with_name("stream_row.py"))],
+        input=json.dumps([str(model), images]),
+        capture_output=True,
+        text=True,
+        check=True,
+        preexec_fn=lambda: os.sched_setaffinity(0, allowed),
+        env={**os.environ, "OMP_NUM_THREADS": str(cores), "OPENBLAS_NUM_THREADS": str(cores)},
+    )
+    costs: dict[str, Any] = json.loads(finished.stdout.splitlines()[-1])
+    return costs
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=300)
-    asked = parser.parse_args()
+    options = parser.parse_args()
     sequence = read_sevenscenes(REDKITCHEN)
     header = ["image", "pose sources", "cores", "median, ms", "99th percentile, ms", "frames per second"]
     header += ["first answer, s", "resident, MB", "ms per frame, by part"]
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
         for name, size in SIZES.items():
-            its = enlarged(sequence, size, Path(scratch) / name)
-            images = [str(path) for path in its.image_paths[: asked.frames]]
+            recording = enlarged(sequence, size, Path(scratch) / name)
+            images = [str(path) for path in recording.image_paths[: options.frames]]
             for sources in SOURCES:
-                model = train_briefly(its, Path(scratch) / f"{name}-{len(sources)}", *sources)
+                model = train_briefly(recording, Path(scratch) / f"{name}-{len(sources)}", sources)
                 for cores in (1, 2):
-                    row = in_process("stream_row.py", [str(model), images], cores)
-                    parts = ", ".join(f"{part} {ms:.1f}" for part, ms in row["parts"].items() if ms)
-                    times = [f"{row['median']:.1f}", f"{row['p99']:.1f}", f"{1e3 / row['mean']:.1f}"]
-                    costs = [f"{row['first_s']:.2f}", f"{row['resident_mb']:.0f}", parts]
-                    rows.append([name, ", ".join(sources), str(cores), *times, *costs])
+                    costs = stream_costs(model, images, cores)
+                    parts = ", ".join(f"{part} {ms:.1f}" for part, ms in costs["parts"].items() if ms)
+                    times = [f"{costs['median']:.1f}", f"{costs['p99']:.1f}", f"{1e3 / costs['mean']:.1f}"]
+                    others = [f"{costs['first_s']:.2f}", f"{costs['resident_mb']:.0f}", parts]
+                    rows.append([name, ", ".join(sources), str(cores), *times, *others])
                     print(rows[-1], flush=True)
     note = (
-        f"{asked.frames} consecutive frames of redkitchen, 10 of them to warm up, as a camera would give them at 30 "
-        "a second; 1280x720: enlarged and cropped. Time of a frame: from decoded image to pose and region; parts are "
+        f"{options.frames} consecutive frames of redkitchen, 10 of them to warm up, as a camera would give them at 30 "
+        "per second; 1280x720: enlarged and cropped. Time of a frame: from decoded image to pose and region; parts are "
         "within it, the rest is fusion, candidates and the novelty test. First answer: from the start of the imports. "
         "The rows of one size are of two models."
     )

@@ -29,17 +29,6 @@ def one_interval(low: npt.ArrayLike, high: npt.ArrayLike) -> Sets:
     return Sets(len(a), keep, a[keep], b[keep])
 
 
-def merged(n: int, rows: npt.NDArray[np.int64], low: FloatArray, high: FloatArray) -> Sets:
-    """Join intervals of a sample that touch; they come sorted by sample and lower end."""
-    keep = high > low
-    rows, low, high = rows[keep], low[keep], high[keep]
-    new = np.ones(rows.size, dtype=bool)
-    new[1:] = (rows[1:] != rows[:-1]) | (low[1:] > high[:-1] + 1e-6)
-    start = np.flatnonzero(new)
-    end = np.append(start[1:], rows.size) - 1
-    return Sets(n, rows[start], low[start], high[end])
-
-
 def measure(sets: Sets, split: Split, alpha: float) -> dict[str, float | None]:
     """Coverage (also in the worst slab and the hardest quarter), size and components.
 

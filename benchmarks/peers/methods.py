@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from measure import Sets, merged, one_interval
+from measure import Sets, one_interval
 from problems import Split
 from sklearn.base import clone
 from sklearn.ensemble import (
@@ -263,34 +263,6 @@ def torchcp_cqr(split: Split, alpha: float) -> Sets:
     return one_interval(intervals[:, 0], intervals[:, 1])
 
 
-def torchcp_r2ccp(split: Split, alpha: float) -> Sets:
-    """TorchCP's regression-as-classification, 50 midpoints, its default network of 1000 units.
-
-    Its loss rewards low entropy where the method's authors (and r2ccp) reward high; it is given theirs.
-    """
-    regression = _import_torchcp_regression()
-    from torchcp.regression.utils import build_regression_model, calculate_midpoints
-
-    loaders, scaler = _loaders(split)
-    torch.manual_seed(split.seed)
-    midpoints = calculate_midpoints(loaders["train"], 50)
-    model = build_regression_model("NonLinearNet_with_Softmax")(split.X["train"].shape[1], 50, 1000, 0.0)
-    predictor = regression.SplitPredictor(regression.R2CCP(midpoints), model, alpha=alpha)
-    epochs = int(np.clip(NETWORK_STEPS // len(loaders["train"]), 30, 1000))
-
-    def loss(out: Any, y: Any) -> Any:
-        distance = ((y - midpoints).abs() ** 0.5 * out).sum(dim=1)
-        return (distance + 0.2 * (out * out.clamp_min(1e-10).log()).sum(dim=1)).mean()
-
-    predictor.train(loaders["train"], criterion=loss, epochs=epochs, lr=1e-3)
-    predictor.calibrate(loaders["cal"])
-    X = torch.tensor(scaler.transform(split.X["test"]), dtype=torch.float32)
-    flat = predictor.predict(X).numpy().astype(np.float64)
-    low, high = flat[:, 0::2], flat[:, 1::2]
-    rows = np.repeat(np.arange(len(flat)), low.shape[1])
-    return merged(len(flat), rows, low.ravel(), high.ravel())
-
-
 def _import_r2ccp() -> Any:
     """r2ccp; torchvision, which it imports for images, is replaced by nothing."""
     import lightning.pytorch as pl
@@ -355,7 +327,6 @@ PEERS: dict[str, Callable[[Split, float], Sets]] = {
     "MAPIE conditional": mapie_conditional,
     "crepes, normalised": crepes_normalized,
     "TorchCP CQR": torchcp_cqr,
-    "TorchCP R2CCP": torchcp_r2ccp,
     "r2ccp": r2ccp,
 }
 METHODS: dict[str, Callable[[Split, float], Sets]] = {
