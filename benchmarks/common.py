@@ -52,9 +52,14 @@ def rmse(errors: npt.ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def parser_with_seeds(description: str | None, seeds: tuple[int, ...] = SEEDS) -> argparse.ArgumentParser:
+def parser_of(docstring: str | None) -> argparse.ArgumentParser:
     """A parser of the command line whose help is a script's docstring."""
-    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    return argparse.ArgumentParser(description=docstring, formatter_class=argparse.RawDescriptionHelpFormatter)
+
+
+def parser_with_seeds(docstring: str | None, seeds: tuple[int, ...] = SEEDS) -> argparse.ArgumentParser:
+    """The same with an option for seeds."""
+    parser = parser_of(docstring)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(seeds))
     return parser
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import DATA, SEEDS, mean_interval, write_table
+from common import DATA, SEEDS, mean_interval, parser_of, write_table
 
 from conformodal.conformal import (
     ConditionalConformal,
@@ -80,6 +80,7 @@ def described(regions: Regions, y: FloatArray, groups: BoolArray, spread: float)
 
 
 def main() -> None:
+    parser_of(__doc__).parse_args()
     rows = []
     for name in TABLES:
         runs = [measured(name, seed) for seed in SEEDS]

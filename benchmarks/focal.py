@@ -9,7 +9,7 @@ import re
 import warnings
 
 import numpy as np
-from common import DATA, REDKITCHEN, part_of, write_table
+from common import DATA, REDKITCHEN, parser_of, part_of, write_table
 
 from conformodal.geometry import PinholeCamera
 from conformodal.io import DatasetError, DatasetWarning, Recording, read_recording
@@ -49,6 +49,7 @@ def row_of(name: str, sequence: Recording, true_px: float) -> list[str]:
 
 
 def main() -> None:
+    parser_of(__doc__).parse_args()
     warnings.simplefilter("ignore", DatasetWarning)
     rows = []
     for name, (folder, true_px) in RECORDINGS.items():

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from common import SEEDS, mean_interval, write_table
+from common import SEEDS, mean_interval, parser_of, write_table
 from sklearn.ensemble import RandomForestClassifier
 
 from conformodal.conformal import QuantileBins, QuickDensity, SplitConformal
@@ -63,6 +63,7 @@ def measured(name: str, learner: str, most_rows: int, seed: int) -> dict[str, tu
 
 
 def main() -> None:
+    parser_of(__doc__).parse_args()
     rows = []
     for name, learner, most_rows in CASES:
         runs = [measured(name, learner, most_rows, seed) for seed in SEEDS]

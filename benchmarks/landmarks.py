@@ -19,7 +19,7 @@ from unittest.mock import patch
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch
 
 import numpy as np
-from common import DATA, write_table
+from common import DATA, parser_of, write_table
 
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.files import default_cache_dir
@@ -100,6 +100,7 @@ def errors(source: str, target: str, third: int | None) -> dict[tuple[str, bool]
 
 
 def main() -> None:
+    parser_of(__doc__).parse_args()
     places = {"redkitchen": PARTS[:1], "fr1_desk": PARTS[1:], "fr1_xyz from fr1_desk": [(DESK, None)]}
     rows = []
     for place, parts in places.items():

@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from common import write_table
+from common import parser_of, write_table
 from unseen import ALPHA, corridor_flights
 
 from conformodal.core.files import default_cache_dir
@@ -38,6 +38,7 @@ def p_values(seed: int, cache: FeatureCache, scratch: Path) -> dict[str, np.ndar
 
 
 def main() -> None:
+    parser_of(__doc__).parse_args()
     cache, found = FeatureCache(default_cache_dir()), []
     for seed in SEEDS:
         with tempfile.TemporaryDirectory() as scratch:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from common import DATA, table_lines, write_page
+from common import DATA, parser_of, table_lines, write_page
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray
@@ -88,6 +88,7 @@ def row(truth: str, system: str, outcome: FloatArray) -> list[str]:
 
 
 def main() -> None:
+    parser_of(__doc__).parse_args()
     every = {(truth, system): read_recordings(truth, system) for truth in TRUTHS for system in SYSTEMS}
     left_out = [row(*key, leave_out(recordings)) for key, recordings in every.items()]
     scenes = [row(*key, leave_out(recordings, scenes=True)) for key, recordings in every.items()]

@@ -9,7 +9,6 @@ benchmarks/results/recordings and install benchmarks/peers/recordings.txt.
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from functools import partial
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import DATA, RESULTS, ROOT, cached_json, new_axes, rmse, save_picture, table_lines, write_page
+from common import DATA, RESULTS, ROOT, cached_json, new_axes, parser_of, rmse, save_picture, table_lines, write_page
 from scipy.stats import chi2
 
 from conformodal.core.arrays import BoolArray, FloatArray
@@ -154,7 +153,7 @@ def draw(runs: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--seed", type=int, default=10)
     parser.add_argument("--runs", type=Path, default=ROOT / "recordings-out")
     parser.add_argument("--draw", action="store_true")

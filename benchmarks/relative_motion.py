@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from common import DATA, REDKITCHEN, write_table
+from common import DATA, REDKITCHEN, parser_of, write_table
 from scipy.spatial.transform import Rotation
 
 from conformodal.corridor.writer import write_corridor
@@ -87,6 +87,7 @@ def read_kitti() -> Recording:
 
 
 def main() -> None:
+    parser_of(__doc__).parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         write_corridor(Path(scratch), n_laps=1)
         corridor = read_sevenscenes(scratch)

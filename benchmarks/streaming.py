@@ -7,7 +7,6 @@ Each row is a process of its own, kept to its cores, that knows a saved model an
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -18,7 +17,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from common import REDKITCHEN, write_table
+from common import REDKITCHEN, parser_of, write_table
 
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
@@ -75,7 +74,7 @@ def stream_costs(model: Path, images: list[str], cores: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--frames", type=int, default=300)
     options = parser.parse_args()
     sequence = read_sevenscenes(REDKITCHEN)

@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from common import REDKITCHEN, write_table
+from common import REDKITCHEN, parser_of, write_table
 from relative_motion import FITTED_FOCAL_PX, read_kitti, with_focal_length
 from scipy.spatial.transform import Rotation
 
@@ -62,6 +62,7 @@ def row(name: str, sequence: Recording, stride: int) -> list[str]:
 
 
 def main() -> None:
+    parser_of(__doc__).parse_args()
     redkitchen = read_sevenscenes(REDKITCHEN)
     noisy = Recording(**{**vars(redkitchen), "noise": PixelNoise(0.1, 0)})
     refocused = with_focal_length(redkitchen, FITTED_FOCAL_PX)

@@ -6,17 +6,16 @@ python benchmarks/table1.py [--seeds 5] [--first-seed 10] [--method all] [--base
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
 from pathlib import Path
 
-from common import REDKITCHEN, ROOT, write_page
+from common import REDKITCHEN, ROOT, parser_of, write_page
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first-seed", type=int, default=10, help="no setting was chosen on seeds from 10 on")
     parser.add_argument("--out", type=Path, default=Path("table1-out"))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 
 import numpy as np
-from common import DATA, REDKITCHEN, write_table
+from common import DATA, REDKITCHEN, parser_of, write_table
 
 from conformodal.core.arrays import IntArray
 from conformodal.geometry import Trajectory, align, orientation_errors_deg, position_errors_m
@@ -31,6 +31,7 @@ def colmap_truth(kitchen: Recording) -> tuple[IntArray, Trajectory]:
 
 
 def main() -> None:
+    parser_of(__doc__).parse_args()
     sequence = read_sevenscenes(REDKITCHEN)
     fusion = sequence.require_truth()
     both, colmap = colmap_truth(sequence)

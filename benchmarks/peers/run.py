@@ -8,7 +8,6 @@ python benchmarks/peers/run.py --measure --methods r2ccp --seeds 12 --tables con
 
 from __future__ import annotations
 
-import argparse
 import re
 import time
 import traceback
@@ -24,7 +23,7 @@ from problems import MOST_ROWS, TABLES, Split, draw
 
 from conformodal.conformal import check_coverage, coverage_band
 
-from common import RESULTS, SEEDS, cached_json, mean_interval, table_lines, write_page  # isort: skip - as above
+from common import RESULTS, SEEDS, cached_json, mean_interval, parser_of, table_lines, write_page  # isort: skip - as above
 
 ALPHA = 0.1
 SHOWN = {"size": 3, "components": 2, "worst slab": 3, "hardest quarter": 3, "seconds": 0}
@@ -102,7 +101,7 @@ def geometric(values: list[float]) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--measure", action="store_true", help="make the runs that are not there")
     parser.add_argument("--tables", nargs="*", default=list(TABLES))
     parser.add_argument("--methods", nargs="*", default=list(METHODS))
