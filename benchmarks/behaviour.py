@@ -9,7 +9,6 @@ Run it before and after a change that should leave behaviour as it is::
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -18,10 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import DATA, REDKITCHEN, ROOT, parser_of, table_lines
 
-ROOT = Path(__file__).resolve().parents[1]
-DATA = Path(os.environ.get("CONFORMODAL_DATA", ROOT.parent / "shared" / "data"))
-REDKITCHEN = DATA / "7scenes" / "redkitchen" / "seq-01"
 DESK, XYZ = DATA / "tum" / "fr1_desk", DATA / "tum" / "fr1_xyz"
 DEMO = ("--split", "interleaved", "--epochs", "40", "--dropout", "0.6", "--alpha", "0.02")
 SOURCES = "head,landmarks"
@@ -62,10 +59,10 @@ def answer(out: Path, source: Path, sources: str, names: list[str]) -> None:
     if not corridor.exists():
         call(*python, _FLY, corridor)
     command = [*python, "from conformodal.cli import main; main()"]
-    for name, (known, how, queries, part) in worlds(corridor).items():
+    for name, (recording, how, queries, part) in worlds(corridor).items():
         if name in names:
             model = out / name / "model"
-            call(*command, "train", known, "--out", model, "--seed", "0", "--sources", sources, *how)
+            call(*command, "train", recording, "--out", model, "--seed", "0", "--sources", sources, *how)
             call(*command, "run", model, queries, "--out", out / name / "run", *part)
             print(f"{name}: answered", flush=True)
 
@@ -103,9 +100,8 @@ def largest_difference(one: Any, other: Any) -> float:
 
 def compare(old: Path, new: Path, names: list[str]) -> None:
     """Print how the answers differ: the regions and evidence of each frame, each trajectory, the metrics."""
-    print("| world | frames | evidence equal | regions equal | path regions equal | largest pose difference, m |")
-    print("|---|---|---|---|---|---|")
-    changed: list[str] = []
+    header = ["world", "frames", "evidence equal", "regions equal", "path regions equal"]
+    rows, changed = [], []
     for name in names:
         runs = old / name / "run", new / name / "run"
         before, after = map(records, runs)
@@ -118,18 +114,19 @@ def compare(old: Path, new: Path, names: list[str]) -> None:
         evidence = np.mean([before[f]["evidence"] == after[f]["evidence"] for f in before])
         poses = [np.loadtxt(run / "trajectory.tum", ndmin=2) for run in runs]
         gap = np.abs(poses[0] - poses[1])[:, 1:].max() if poses[0].shape == poses[1].shape else np.inf
-        print(f"| {name} | {len(before)} | {evidence:.3f} | {shares[0]:.3f} | {shares[1]:.3f} | {gap:.2g} |")
+        rows.append([name, str(len(before)), *(f"{share:.3f}" for share in (evidence, *shares)), f"{gap:.2g}"])
         metrics = [json.loads((run / "metrics.json").read_text(encoding="utf-8")) for run in runs]
         for key in ("errors", "coverage", "path_coverage"):
             pair = [flattened(values.get(key)) for values in metrics]
             for part in sorted(pair[0].keys() | pair[1].keys()):
                 if largest_difference(*(side.get(part) for side in pair)) > ROUNDING:
                     changed.append(f"{name}, {key}{part}: {pair[0].get(part)} -> {pair[1].get(part)}")
-    print("\n".join(["", "metrics that differ:", *changed] if changed else ["", "all metrics are equal"]))
+    print(*table_lines([*header, "largest pose difference, m"], rows), "", sep="\n")
+    print("\n".join(["metrics that differ:", *changed]) if changed else "all metrics are equal")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("what", choices=["answer", "compare"])
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--source", type=Path, default=ROOT / "src")
