@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from conformodal.io.layouts.colmap import TWICE
 from conformodal.io.layouts.euroc import SHIFTED
 from conformodal.io.layouts.nerf import ORIGINAL_WORLD
 
@@ -26,7 +25,7 @@ from .recording import Recording
 _GAP, _JUMP = 3.0, 10.0
 _LEAST_JUMP_M = 0.05
 # What a reader did, and nothing that is wrong.
-_NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, CONVERTED, SHIFTED, TWICE, AS_STORED}
+_NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, CONVERTED, SHIFTED, AS_STORED}
 _NOTES |= {ORIGINAL_WORLD, OF_LAYOUT, NUMBERS}
 
 
