@@ -25,7 +25,7 @@ AT_ROOT = {
     "SECURITY.md": "security.md",
 }
 INTERNAL = {"cli", "core"}  # packages without a page in the reference
-FIRST = ("conformal", "running", "training", "model", "datasets", "poses")  # in the reference
+FIRST = ("conformal", "pipeline", "io", "geometry", "localizer")  # in the reference
 MAIN = ("ConformalRegressor", "VisualOdometry")
 GENERATED = {"tables/index.md", "reference/index.md", "examples.md", "gallery.md"}  # written with the site's own links
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\[\]]*\])*)\]\(([^()\s]+)\)")
