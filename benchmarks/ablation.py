@@ -56,7 +56,7 @@ from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import Calibration, ModelConfig
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.model import PoseModel
-from conformodal.pipeline.paper_odometry import odometry_of
+from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.results.provenance import provenance
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
@@ -115,7 +115,7 @@ class Models:
     def run(self, model: PoseModel, interval_s: float = 0.0) -> OdometryRun:
         """A model's answers to the frames of the test part that follow each other after an interval or more."""
         frames = spaced(self.sequence.timestamps_s, model.split.test, interval_s)
-        return odometry_of(model).process(self.sequence, frames, cache=self.cache)
+        return odometry_of(model).process(self.sequence, frames)
 
     def error(self, run: OdometryRun, path: PosePath | Trajectory) -> list[float]:
         """RMSE in metres and degrees of a path over the frames of a run."""

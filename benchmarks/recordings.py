@@ -20,14 +20,13 @@ from common import DATA, RESULTS, ROOT, cached_json, new_axes, parser_of, rmse, 
 from scipy.stats import chi2
 
 from conformodal.core.arrays import BoolArray, FloatArray
-from conformodal.core.files import default_cache_dir
 from conformodal.features.extract import FeatureCache
 from conformodal.io import Recording, SplitKind, read_recording
 from conformodal.io.joining import near_known
 from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.estimates import OdometryRun
-from conformodal.pipeline.paper_odometry import odometry_of
+from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 
@@ -55,7 +54,7 @@ def measured(source: str, target: str, seed: int, runs: Path, method: Method) ->
 
     The paper's system is calibrated as the paper says: on random frames of the training recording.
     """
-    cache, folder = FeatureCache(default_cache_dir()), runs / f"{source}-{seed}-{method}"
+    folder = runs / f"{source}-{seed}-{method}"
     known, new, near = _sequences(source, target)
     if not (folder / "model.json").is_file():
         make = ModelConfig.paper if method is Method.PAPER else ModelConfig
@@ -63,7 +62,7 @@ def measured(source: str, target: str, seed: int, runs: Path, method: Method) ->
         save_model(train_model(prepare_training_data(known, config, FeatureCache(None)), config), folder)
         folder.with_suffix(".seconds").write_text(f"{time.process_time() - began}")
     model, answered = load_model(folder), new.posed
-    run = odometry_of(model).process(new, answered, cache=cache)
+    run = odometry_of(model).process(new, answered)
     truth, near = new.poses[np.searchsorted(answered, run.frames)], near[np.searchsorted(answered, run.frames)]
     targets, found, drawn = pose_targets(truth, model.sign_reference), {}, {}
     regions = {"image alone": run.regions, **run.path_regions}

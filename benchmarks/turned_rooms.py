@@ -74,9 +74,9 @@ def observe(seed: int) -> tuple[MotionPrior, dict[str, tuple[Observations, Traje
     """What reasoning is given, and the truth, for every interval between answered frames."""
     seen = {}
     with tempfile.TemporaryDirectory() as scratch:
-        model, sequence, cache = learn(Path(scratch), seed)
+        model, sequence, _ = learn(Path(scratch), seed)
         for name, every in EVERY.items():
-            run = VisualOdometry(model).process(sequence, np.arange(0, len(sequence), every), cache=cache)
+            run = VisualOdometry(model).process(sequence, np.arange(0, len(sequence), every))
             seen[name] = run.observations(np.arange(len(run.frames))), sequence.require_truth()[run.frames]
     return model.prior, seen
 

@@ -16,7 +16,7 @@ from conformodal.localizer.observations import Observations, PosePath
 from conformodal.localizer.prior import MotionPrior
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
-from conformodal.pipeline.paths import as_trajectory
+from conformodal.pipeline.stream import as_trajectory
 from conformodal.pipeline.train import prepare_training_data, train_model
 
 

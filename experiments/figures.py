@@ -28,12 +28,11 @@ from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.errors import ResultsError
 from conformodal.pipeline.identity import data_digest
-from conformodal.pipeline.paper_odometry import odometry_of
+from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.results.provenance import provenance
 from conformodal.pipeline.results.runs import read_metrics, write_metrics, write_run
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
-from conformodal.tracking.motions import MotionRecord
 from conformodal.tracking.tracker import CornerTracker
 
 from .conditions import ALPHA, Row, run_name, task_key
@@ -126,7 +125,6 @@ def bin_runs(
     They are stored in `folder`, each with its model.
     """
     found = {}
-    motions: MotionRecord | None = None  # both have the same test frames
     for k in _N_BINS:
         place = folder / f"{_ENDINGS[method]}-{split}-bins{k}"
         found[k] = place
@@ -140,8 +138,7 @@ def bin_runs(
                 continue
         model = train_model(prepare_training_data(sequence, config, cache, progress), config, progress=progress)
         odometry, test = odometry_of(model), model.split.test
-        motions = motions or odometry.measure_motions(sequence, test, progress)
-        run = odometry.process(sequence, test, cache=cache, motions=motions, progress=progress)
+        run = odometry.process(sequence, test, progress=progress)
         names = [sequence.image_paths[i].name for i in run.frames]
         write_run(place, run, names, sequence.require_truth()[run.frames])
         save_model(model, place / "model")

@@ -25,8 +25,8 @@ from conformodal.localizer.observations import PosePath
 from conformodal.localizer.prior import MotionPrior
 from conformodal.localizer.smoother import smooth
 from conformodal.pipeline.estimates import OdometryRun
-from conformodal.pipeline.paths import as_trajectory
 from conformodal.pipeline.plain import PlainRegressor, fit_values, known_frames, scaling
+from conformodal.pipeline.stream import as_trajectory
 from conformodal.pipeline.training_data import TrainingData
 
 from .tasks import ExperimentError

@@ -28,23 +28,19 @@ from conformodal.pipeline.config import Method
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.evaluate import error_table
 from conformodal.pipeline.model import PoseModel
-from conformodal.pipeline.paper_odometry import odometry_of
-from conformodal.pipeline.paths import as_trajectory, whole_paths
+from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.plain import PlainRegressor, train_plain, trajectory_of
 from conformodal.pipeline.results.provenance import provenance
 from conformodal.pipeline.results.runs import write_metrics, write_run
+from conformodal.pipeline.stream import as_trajectory, whole_paths
 from conformodal.pipeline.train import prepare_training_data, train_model
 from conformodal.pipeline.training_data import TrainingData
-from conformodal.tracking.motions import MotionRecord
 
 from .baselines import BASELINES, Baseline, RegressionTask, n_numbers
 from .conditions import ALPHA, TrainingTask, config_of, run_name
 from .regressors import TunedRegressor, train_tuned
 
 _Made = TypeVar("_Made")
-# Motions of this process's last tasks: they depend on test frames, noise and front end alone.
-_motions: dict[tuple[object, ...], MotionRecord] = {}
-_MOST_MOTIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,12 +91,7 @@ class Table1Worker:
     def _tested(self, task: TrainingTask, trained: TrainedMethods, sigma: float) -> dict[str, Any]:
         noisy = replace(self.sequence, noise=PixelNoise(sigma, task.seed) if sigma else None)
         model, odometry, test = trained.model, odometry_of(trained.model), trained.model.split.test
-        key = (task.data, task.method, task.split, task.seed, sigma)
-        if key not in _motions:
-            if len(_motions) >= _MOST_MOTIONS:
-                _motions.pop(next(iter(_motions)))
-            _motions[key] = odometry.measure_motions(noisy, test)
-        run = odometry.process(noisy, test, cache=self.cache, motions=_motions[key])
+        run = odometry.process(noisy, test)
         paths = [self.sequence.image_paths[i] for i in run.frames]
         features = extract_features(paths, model.backbone, self.cache, noise=noisy.noise)
         truth, recording = self.sequence.require_truth()[run.frames], self.sequence.recording[run.frames]

@@ -26,7 +26,7 @@ def world(small_world):
     """The small world's model with two regressors, its run over some test frames, their features, and the truth."""
     sequence, model = read_recording(small_world.folder), load_model(small_world.model)
     cache = FeatureCache(small_world.cache)
-    run = VisualOdometry(model).process(sequence, model.split.test[:N_FRAMES], cache=cache)
+    run = VisualOdometry(model).process(sequence, model.split.test[:N_FRAMES])
     data = prepare_training_data(sequence, ModelConfig(training=TRAINING), cache)
     trained = TrainedMethods(model, train_plain(data, TRAINING), train_tuned(data, TRAINING))
     features = extract_features([sequence.image_paths[i] for i in run.frames], model.backbone, cache)

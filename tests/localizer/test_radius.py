@@ -67,7 +67,7 @@ def test_the_radius_holds_both_errors_or_not():
 
 def test_frames_that_could_not_be_read_are_infinitely_far_off():
     truth = trajectory(6, 3)
-    run = OdometryRun(np.array([0, 1, 3, 4, 5]), truth.timestamps_s[[0, 1, 3, 4, 5]], None, [], [], [], {})
+    run = OdometryRun(None, np.array([0, 1, 3, 4, 5]), np.array([0, 0, 1, 1, 1]), [], {}, "smoothed")
     run.trajectories["smoothed"] = truth[np.array([0, 1, 3, 4, 5])]
     errors = recording_errors(run, "smoothed", truth, np.array([0, 0, 0, 1, 1, 1]))
     assert [e[0].tolist() for e in errors] == [[0, 0, np.inf], [0, 0, 0]]

@@ -164,7 +164,7 @@ def test_every_joint_and_score_survives_saving_and_reasoning(sequence, small_wor
     save_model(trained, tmp_path)
     back = load_model(tmp_path)
     np.testing.assert_array_equal(trained.calibration.thresholds_, back.calibration.thresholds_)
-    run = VisualOdometry(back).process(sequence, back.split.test[:15], cache=FeatureCache(small_world.cache))
+    run = VisualOdometry(back).process(sequence, back.split.test[:15])
     statistics = RegionStatistics.of(run.regions, sequence.require_truth()[back.split.test[:15]], back.sign_reference)
     table = coverage_table(statistics, back, exchangeable=True)
     assert (table["joint_band_99"] is not None) == (joint == "max")
@@ -172,12 +172,11 @@ def test_every_joint_and_score_survives_saving_and_reasoning(sequence, small_wor
 
 
 def test_recalibration_nests_regions(model, sequence, small_world):
-    cache = FeatureCache(small_world.cache)
     odometry = VisualOdometry.load(small_world.model)
     frames = model.split.test[:20]
-    wide = odometry.process(sequence, frames, cache=cache).regions
+    wide = odometry.process(sequence, frames).regions
     odometry.model.recalibrate(0.6)
-    narrow = odometry.process(sequence, frames, cache=cache).regions
+    narrow = odometry.process(sequence, frames).regions
     assert (narrow.length <= wide.length).all()
     assert narrow.length.sum() < wide.length.sum()
 

@@ -13,7 +13,7 @@ from conformodal.localizer.sources.head import HeadSource
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
-from conformodal.pipeline.paper_odometry import PaperOdometry, odometry_of
+from conformodal.pipeline.paper import PaperOdometry, odometry_of
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 
@@ -41,7 +41,7 @@ def test_its_calibration_frames_are_drawn_from_all_training_recordings(sequence,
         assert [set(recording[part].tolist()) for part in parts] == [{0, 1}, {0, 1}]
     assert (np.diff(parts[1]) > 1).mean() > 0.5  # single frames, not stretches
     trained = train_model(data, config)
-    found = odometry_of(trained).process(three, data.split.test[:20], cache=FeatureCache(small_world.cache))
+    found = odometry_of(trained).process(three, data.split.test[:20])
     assert not found.regions.unbounded.all(axis=1).any()
 
 
@@ -89,7 +89,7 @@ def test_each_dimension_is_calibrated_by_itself_and_cuboids_are_the_product(data
 
 def test_a_stream_has_the_answers_of_a_sequence(model, sequence, small_world):
     frames = np.arange(20, 32)
-    run = PaperOdometry(model).process(sequence, frames, cache=FeatureCache(small_world.cache))
+    run = PaperOdometry(model).process(sequence, frames)
     stream = PaperOdometry(model)
     for t, i in enumerate(frames.tolist()):
         found = stream.step(sequence.image(i), sequence.timestamps_s[i])

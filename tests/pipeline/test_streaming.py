@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from conformodal.features.extract import FeatureCache
 from conformodal.io import ImageError, read_recording
 from conformodal.io.streams.frames import Frame, SourceError
 from conformodal.io.streams.stored import SequenceStream
@@ -21,6 +20,7 @@ from conformodal.pipeline.results.statistics import RegionStatistics
 from conformodal.pipeline.results.writer import ResultsWriter
 from conformodal.pipeline.store import load_model
 from conformodal.pipeline.stream import StreamRunner
+from conformodal.tracking.motions import measure_motions
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def batch(world, small_world):
     """The same frames, all at once."""
     sequence, model = world
     frames = model.split.test[model.split.test < 300]
-    return frames, VisualOdometry(model).process(sequence, frames, cache=FeatureCache(small_world.cache))
+    return frames, VisualOdometry(model).process(sequence, frames)
 
 
 def stream(world, frames, folder, **options):
@@ -82,7 +82,7 @@ def test_regions_after_motion_hold_the_calibration_frames_whose_scores_they_were
     """Sources of a model that frames calibrate have not seen these: run as one stream, they are what calibrated it."""
     sequence, model = world
     frames = model.split.calibration
-    run = VisualOdometry(model).process(sequence, frames, cache=FeatureCache(small_world.cache))
+    run = VisualOdometry(model).process(sequence, frames)
     targets = pose_targets(sequence.truth[frames], model.sign_reference)
     assert run.path_regions.keys() == {"online", "hindsight"}
     for path, regions in run.path_regions.items():
@@ -184,7 +184,7 @@ def test_a_stream_has_the_flow_that_the_whole_sequence_has(world, monkeypatch):
         return read(own, i)
 
     monkeypatch.setattr(type(sequence), "image", image)
-    found = odometry.measure_motions(sequence, frames)
+    found = measure_motions(sequence, frames)
     for i, its in zip(frames, seen, strict=True):
         np.testing.assert_array_equal(its.flow, found.local_features[i].flow)
     moving = [i for i, its in zip(frames, seen, strict=True) if its.flow.any()]

@@ -9,19 +9,18 @@ from typing import Annotated
 import typer
 
 from conformodal.core.words import counted, noun_for
-from conformodal.features.extract import FeatureCache
 from conformodal.io import Layout
 from conformodal.localizer.radius import Guarantee, recordings_needed
 from conformodal.pipeline.config import Method
 from conformodal.pipeline.errors import OdometryError
-from conformodal.pipeline.paths import METHODS
+from conformodal.pipeline.model import METHODS
 from conformodal.pipeline.results.folders import lock_output
 from conformodal.pipeline.selection import calibrate_selection
 from conformodal.pipeline.store import load_model, save_model
 
 from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
 from .options import OptionError
-from .sources import Cache, FollowOutside, cache_folder, open_sequence
+from .sources import FollowOutside, open_sequence
 
 
 @report_errors
@@ -38,7 +37,6 @@ def calibrate(
         float | None, typer.Option(help="Metres that count as much as one radian; the scene's depth by default.")
     ] = None,
     follow_outside: FollowOutside = False,
-    cache: Cache = None,
 ) -> None:
     """Give the chosen pose a radius with a coverage guarantee, calibrated on whole recordings."""
     if method not in METHODS:
@@ -47,12 +45,9 @@ def calibrate(
     if loaded.method is Method.PAPER:
         raise OdometryError(f"{model}: was trained with the paper's method, whose answer gets no radius")
     with lock_output(model, "train", apart=[data]):
-        features = FeatureCache(cache_folder(cache))
         sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
         with progress_bars(model) as report:
-            radius = calibrate_selection(
-                loaded, sequence, alpha, guarantee, method, metres_per_radian, cache=features, progress=report
-            )
+            radius = calibrate_selection(loaded, sequence, alpha, guarantee, method, metres_per_radian, progress=report)
         loaded.radius = radius
         save_model(loaded, model)
     if isfinite(radius.radius_m):

@@ -23,7 +23,7 @@ from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.evaluate import path_coverage_table
 from conformodal.pipeline.model import ONLINE, PoseModel
-from conformodal.pipeline.paper_odometry import odometry_of
+from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.plain import train_plain
 from conformodal.pipeline.results.runs import write_run
 from conformodal.pipeline.results.statistics import RegionStatistics
@@ -49,7 +49,7 @@ def answer_test_part(
     frames = part_frames(model, sequence, Part.TEST)
     cache = FeatureCache(out / "cache")
     started = time.perf_counter()
-    result = odometry_of(model).process(sequence, frames, cache=cache, progress=report)
+    result = odometry_of(model).process(sequence, frames, progress=report)
     seconds = round(time.perf_counter() - started, 2)
     paths = [sequence.image_paths[i] for i in result.frames]
     features = extract_features(paths, model.backbone, cache)

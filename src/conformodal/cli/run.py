@@ -26,7 +26,7 @@ from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimates import Estimate
 from conformodal.pipeline.model import PoseModel
-from conformodal.pipeline.paper_odometry import odometry_of
+from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.results.folders import lock_output, result_digests
 from conformodal.pipeline.results.parquet import write_region_parquet
 from conformodal.pipeline.results.runs import read_trajectories, write_metrics
@@ -216,10 +216,10 @@ def _stream_through(
         if not runner.n_answered:
             first = next(iter(runner.problems.values()), "it holds no frame")
             raise OdometryError(f"{stream.name}: no frame could be answered: {stopped or first}")
-        counts = {**_counts(runner), "stopped": stopped, "seconds": round(seconds, 2), "model": how.digest}
+        counts = {**_counts(runner, writer), "stopped": stopped, "seconds": round(seconds, 2), "model": how.digest}
         counts |= {"signal": stop[0]} if stopped == _INTERRUPTED else {}
         whole = not (stopped or limited or lossy or runner.windowed)
-        metrics = _write_results(model, runner, shown, how.part, counts, stream.name, whole=whole)
+        metrics = _write_results(model, runner, writer, shown, how.part, counts, stream.name, whole=whole)
     return metrics, shown.unbounded
 
 
@@ -242,10 +242,18 @@ def _push_all(
 
 
 def _write_results(
-    model: PoseModel, runner: StreamRunner, shown: _Shown, part: Part, counts: dict[str, Any], name: str, *, whole: bool
+    model: PoseModel,
+    runner: StreamRunner,
+    writer: ResultsWriter,
+    shown: _Shown,
+    part: Part,
+    counts: dict[str, Any],
+    name: str,
+    *,
+    whole: bool,
 ) -> dict[str, Any]:
     """Write metrics, Parquet and the page; returns the metrics."""
-    writer, known = runner.writer, None
+    known = None
     if runner.truth is not None:
         known = GroundTruth(runner.truth, runner.statistics, np.array(runner.known), runner.path_coverage)
         writer.truth(known.truth)
@@ -261,10 +269,10 @@ def _write_results(
     return metrics
 
 
-def _counts(runner: StreamRunner) -> dict[str, Any]:
+def _counts(runner: StreamRunner, writer: ResultsWriter) -> dict[str, Any]:
     return {
         "n_answered": runner.n_answered,
-        "results": result_digests(runner.writer.place),
+        "results": result_digests(writer.place),
         "n_unreliable": runner.n_unreliable,
         "n_localized": runner.n_localized,
         "n_unknown": runner.n_unknown,

@@ -47,7 +47,7 @@ class PoseRadius:
     guarantee
         See :class:`Guarantee`.
     method
-        The path that it is about, one of :data:`~conformodal.pipeline.paths.METHODS`.
+        The path that it is about, one of :data:`~conformodal.pipeline.model.METHODS`.
     n_recordings
         Recordings that calibrated it.
     metres_per_rad

@@ -1,15 +1,18 @@
-"""Estimates: of one frame of a stream, and of all frames of a sequence."""
+"""Estimates: of one frame of a stream, and of all frames of a recording."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.ranges import as_member
-from conformodal.geometry import RelativeMotion, Submap, Trajectory
+from conformodal.geometry import RelativeMotion, Trajectory
 from conformodal.localizer.candidates import Candidates, mixture_covariance
 from conformodal.localizer.filter import Posterior
 from conformodal.localizer.measurement import PoseMeasurement
@@ -17,12 +20,11 @@ from conformodal.localizer.observations import Observations
 from conformodal.localizer.places import Place
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.localizer.regions import PoseRegions
-from conformodal.localizer.settings import FILTER
+from conformodal.tracking.submaps import build_submaps
 from conformodal.tracking.tracker import Corners
 
 from .errors import OdometryError
-from .model import Localization
-from .paths import METHODS
+from .model import Localization, PoseModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +108,8 @@ class Estimate:
         """
         if self.pose is None or self.candidates is None:
             return None
-        its = self.candidates if self.posterior is None else self.posterior.with_image(self.candidates)
-        return mixture_covariance(its, self.pose.positions_xyz[0], self.pose.orientations_quat_wxyz[0])
+        mixture = self.candidates if self.posterior is None else self.posterior.with_image(self.candidates)
+        return mixture_covariance(mixture, self.pose.positions_xyz[0], self.pose.orientations_quat_wxyz[0])
 
     @property
     def revised(self) -> Trajectory | None:
@@ -118,53 +120,91 @@ class Estimate:
         return self.pose if self.revise is None else self.revise()
 
 
-@dataclass(eq=False)
-class OdometryRun:
-    """Estimates of the frames of a sequence, and what they rest on.
+class FrameEstimator(Protocol):
+    """What answers a stream frame by frame.
 
     Attributes
     ----------
-    frames
-        (m,) indices into the sequence that were answered.
-    timestamps_s
-        (m,) seconds.
-    localization
-        Belief, region and novelty of each frame alone.
-    candidates, motions
-        One per frame; ``motions[t]`` leads from the frame before.
-    submaps
-        Of these frames, by their place in `frames`.
+    model
+        Trained and calibrated.
+    answer
+        The method whose trajectory is the answer.
+    whole_paths
+        Whether better answers than those of a stream follow, from whole paths.
+    """
+
+    model: PoseModel
+    answer: str
+    whole_paths: bool
+
+    def reset(self) -> None:
+        """Forget the stream so far."""
+        ...
+
+    def step(self, image: npt.ArrayLike | None, timestamp_s: float) -> Estimate:
+        """The estimate of the next frame."""
+        ...
+
+    def track_only(self, image: npt.ArrayLike | None, timestamp_s: float) -> None:
+        """Follow corners through a frame that wants no estimate."""
+        ...
+
+
+@dataclass(eq=False)
+class OdometryRun:
+    """Estimates of the frames of a recording.
+
+    Attributes
+    ----------
+    model
+        That answered.
+    frames, recording
+        (m,) indices of the answered frames, and number of the recording of each.
+    estimates
+        As the stream gave them, with an image each.
     trajectories
-        By method, see :data:`METHODS`.
+        By method, see :data:`~conformodal.pipeline.model.METHODS`.
     answer
         Which of them is the answer.
     unreadable
-        Frames that could not be decoded, and why.
-    certainty
-        (m,) probability of the place that the frames up to each speak for; None where it is not known.
-    reliable_p
-        A pose counts as reliable from this probability of its place.
+        Frames without an image that can be used, and why.
     path_regions
         Calibrated regions from posteriors, by :data:`~conformodal.pipeline.model.PATHS`; empty where the model has
         none.
     """
 
+    model: PoseModel
     frames: IntArray
-    timestamps_s: FloatArray
-    localization: Localization
-    candidates: list[Candidates]
-    motions: list[RelativeMotion | None]
-    submaps: list[Submap]
+    recording: IntArray
+    estimates: list[Estimate]
     trajectories: dict[str, Trajectory]
+    answer: str
     unreadable: dict[int, str] = field(default_factory=dict)
-    answer: str = METHODS[0]
-    certainty: FloatArray | None = None
-    reliable_p: float = FILTER.reliable
     path_regions: dict[str, PoseRegions] = field(default_factory=dict)
+
+    @cached_property
+    def localization(self) -> Localization:
+        """Belief, region and novelty of each frame alone."""
+        return Localization.concatenate([e.localization for e in self.estimates if e.localization is not None])
+
+    @property
+    def timestamps_s(self) -> FloatArray:
+        """(m,) seconds."""
+        return np.array([estimate.timestamp_s for estimate in self.estimates])
+
+    @property
+    def candidates(self) -> list[Candidates]:
+        """Hypotheses of each image alone."""
+        return [e.candidates for e in self.estimates if e.candidates is not None]
+
+    @property
+    def motions(self) -> list[RelativeMotion | None]:
+        """Motion to each frame from the one before; None for the first of a recording."""
+        return [estimate.relative_motion for estimate in self.estimates]
 
     @property
     def regions(self) -> PoseRegions:
-        """Calibrated regions, one a frame."""
+        """Calibrated regions, one per frame."""
         return self.localization.regions
 
     @property
@@ -178,21 +218,32 @@ class OdometryRun:
         return self.localization.kinds
 
     @property
-    def trajectory(self) -> Trajectory:
-        """The trajectory of the method :attr:`answer`."""
-        return self.trajectories[self.answer]
+    def certainty(self) -> FloatArray:
+        """(m,) probability of the place that the frames up to each speak for; NaN where there are no places."""
+        return np.array([e.places[0].probability if e.places else np.nan for e in self.estimates])
 
     @property
     def reliable(self) -> BoolArray:
         """(m,) whether a frame shows a known place, motion could be used, and no other place was probable by then."""
-        moving = np.array([m is None or m.reliable for m in self.motions], dtype=np.bool_)
-        sure = np.ones(len(moving)) if self.certainty is None else self.certainty
-        return np.asarray(moving & (self.kinds != EvidenceType.UNKNOWN) & (sure >= self.reliable_p))
+        return np.array([estimate.reliable for estimate in self.estimates], dtype=np.bool_)
 
-    def observations(self, at: IntArray) -> Observations:
-        """The observations of one recording, whose frames are rows `at` (m,) of this run: the input of a reasoner."""
-        places = {place: k for k, place in enumerate(at.tolist())}
-        submaps = [s for submap in self.submaps if (s := submap.renumbered(places)) is not None]
-        motions = [self.motions[t] for t in at]
-        known = self.localization.known[at]
-        return Observations([self.candidates[t] for t in at], motions, self.timestamps_s[at], submaps, known)
+    @property
+    def trajectory(self) -> Trajectory:
+        """The trajectory of the method :attr:`answer`."""
+        return self.trajectories[self.answer]
+
+    def observations(self, rows: IntArray) -> Observations:
+        """The observations of one recording, whose frames are `rows` (m,) of this run: the input of a reasoner."""
+        return observations_of([self.estimates[i] for i in rows.tolist()], self.model)
+
+
+def observations_of(estimates: list[Estimate], model: PoseModel) -> Observations:
+    """What is known of consecutive frames of one recording, submaps included."""
+    corners = [e.corners for e in estimates if e.corners is not None]
+    return Observations(
+        [e.candidates for e in estimates if e.candidates is not None],
+        [e.relative_motion for e in estimates],
+        np.array([e.timestamp_s for e in estimates]),
+        build_submaps(corners, model.camera),
+        np.array([e.localization.known[0] for e in estimates if e.localization is not None]),
+    )

@@ -1,41 +1,178 @@
-"""The estimator: from frames to regions, places and a trajectory."""
+"""The estimator: from frames to regions, places and a trajectory. Only :meth:`Odometry.step` answers a frame."""
 
 from __future__ import annotations
 
+import math
+from abc import ABC, abstractmethod
 from collections import deque
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from conformodal.core.arrays import Float32Array, IntArray, UInt8Array, rows_by_label
+from conformodal.core.arrays import IntArray, UInt8Array
+from conformodal.core.parallel import go_on, one_blas_thread
 from conformodal.core.progress import StageProgress
 from conformodal.features.local import extract_local_features
-from conformodal.geometry import RelativeMotion, Trajectory, concatenate
+from conformodal.geometry import PinholeCamera, RelativeMotion, Trajectory
 from conformodal.io import Recording
+from conformodal.io.decoding import grey_image
+from conformodal.io.streams.prefetch import prefetch
+from conformodal.io.streams.stored import SequenceStream
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.filter import PoseFilter, Posterior, Window, hindsight_posteriors
+from conformodal.localizer.filter import PoseFilter, Posterior, Window
 from conformodal.localizer.places import choose_places, find_places
 from conformodal.localizer.prior import MotionPrior
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.localizer.regions import PoseRegions
 from conformodal.localizer.settings import FILTER
 from conformodal.tracking.flow import affine_flow
-from conformodal.tracking.frontend import MotionFrontEnd
-from conformodal.tracking.motions import MotionRecord, measure_motions
+from conformodal.tracking.frontend import FrontEnd, MotionFrontEnd
 
 from .config import Method
 from .errors import OdometryError
 from .estimates import Estimate, OdometryRun
-from .model import HINDSIGHT, LAGGED, ONLINE, Localization, PoseModel
-from .odometry import Odometry
-from .paths import METHODS, as_trajectory, whole_paths
+from .model import HINDSIGHT, LAGGED, METHODS, ONLINE, Localization, PoseModel
 from .store import load_model
+from .stream import StreamRunner, as_trajectory
+
+
+class Odometry(ABC):
+    """A trained model on a stream or on a recording: :class:`VisualOdometry`, or the paper's :class:`PaperOdometry`.
+
+    Attributes
+    ----------
+    model
+        Trained and calibrated.
+    answer
+        The method whose trajectory is the answer.
+    whole_paths
+        Whether better answers than those of a stream follow, from whole paths.
+    lag
+        Frames of a stream whose answer may still change.
+    """
+
+    model: PoseModel
+    answer: str
+    whole_paths: bool
+    lag: int
+    _front_end: FrontEnd
+    _last_s: float | None  # of the last frame, usable or not
+    _usable_s: float | None  # of the last usable one
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget the stream so far."""
+
+    def step(self, image: npt.ArrayLike | None, timestamp_s: float) -> Estimate:
+        """Take the next frame of a stream, (height, width, 3) RGB, or None where the camera gave none.
+
+        The pose is the best given all frames so far, and `revised` those before it, better known by now;
+        :meth:`run` also uses the frames after. A frame that cannot be used does not end the stream: the estimate says
+        so.
+
+        Raises
+        ------
+        OdometryError
+            If the timestamp is not finite, or not later than that of the frame before, usable or not; nothing has
+            changed then.
+        """
+        timestamp_s = _as_time(timestamp_s, self._last_s)
+        usable = _as_image(image, self.model.camera)
+        if isinstance(usable, str):
+            estimate = Estimate(timestamp_s, None, None, None, None, False, usable)
+        else:
+            with one_blas_thread():
+                estimate = self._answer(usable, timestamp_s)
+            self._usable_s = timestamp_s
+        self._last_s = timestamp_s
+        return estimate
+
+    @abstractmethod
+    def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
+        """The estimate of a frame that can be used; its time becomes the last one."""
+
+    def track_only(self, image: npt.ArrayLike | None, timestamp_s: float) -> None:
+        """Show a frame of the stream that wants no answer: corners are followed through it, if it is an image.
+
+        Raises
+        ------
+        OdometryError
+            As in :meth:`step`.
+        """
+        timestamp_s = _as_time(timestamp_s, self._last_s)
+        usable = _as_image(image, self.model.camera)
+        if not isinstance(usable, str):
+            self._front_end.track_only(usable)
+            self._usable_s = timestamp_s
+        self._last_s = timestamp_s
+
+    def run(self, sequence: Recording) -> Trajectory:
+        """The trajectory of a whole recording; :meth:`process` gives all the rest."""
+        return self.process(sequence).trajectory
+
+    def process(
+        self, sequence: Recording, frames: npt.ArrayLike | None = None, *, progress: StageProgress | None = None
+    ) -> OdometryRun:
+        """Answer a recording as a stream that ends, apart from the stream of this object.
+
+        Parameters
+        ----------
+        sequence
+            Frames in order of time, of the model's camera.
+        frames
+            Frames to answer, increasing; all by default. The tracker also follows corners through the frames between
+            them, as a camera would deliver them.
+        progress
+            Called with stage, frames done and frames in all.
+
+        Raises
+        ------
+        OdometryError
+            If no frame can be read, the camera is another one, or `frames` are not increasing indices of frames.
+        """
+        self.model.check_camera(sequence.camera)
+        wanted = np.arange(len(sequence)) if frames is None else _as_frames(frames, len(sequence))
+        stream, unreadable = SequenceStream(sequence, wanted), dict[int, str]()
+        answers: list[tuple[int, Estimate]] = []
+        with StreamRunner(self._fresh(), keep_regions=True) as runner, closing(prefetch(stream)) as coming:
+            for done, frame in enumerate(coming, start=1):
+                go_on()
+                estimate = runner.push(frame)
+                if estimate is not None and estimate.region is None:
+                    unreadable[frame.index] = frame.problem or estimate.problem
+                elif estimate is not None:
+                    answers.append((frame.index, estimate))
+                if progress is not None:
+                    progress("frames", done, stream.n_frames)
+            runner.finish()
+        if not answers:
+            raise OdometryError(f"{sequence.name}: none of {wanted.size} frames can be read: {unreadable}")
+        answered, estimates = np.array([i for i, _ in answers]), [estimate for _, estimate in answers]
+        online = [e.path_region for e in estimates if e.path_region is not None]
+        regions = {ONLINE: online, HINDSIGHT: runner.hindsight_regions}
+        return OdometryRun(
+            model=self.model,
+            frames=answered,
+            recording=sequence.recording[answered],
+            estimates=estimates,
+            trajectories=runner.trajectories,
+            answer=self.answer,
+            unreadable=unreadable,
+            path_regions={path: PoseRegions.concatenate(parts) for path, parts in regions.items() if parts},
+        )
+
+    @abstractmethod
+    def _fresh(self) -> Odometry:
+        """Another one of the same model, whose stream has not begun."""
 
 
 class VisualOdometry(Odometry):
-    """Poses of one camera, frame by frame (:meth:`step`) or for a whole sequence (:meth:`run`).
+    """Poses of one camera, frame by frame (:meth:`step`) or for a whole recording (:meth:`run`).
 
     ``examples/stream.py`` answers a camera or a video frame by frame, ``examples/images.py`` a whole data set.
 
@@ -61,7 +198,7 @@ class VisualOdometry(Odometry):
         self.model = model
         self.lag = lag
         self._filter = PoseFilter(model.prior, lag)
-        self._last: deque[Estimate] = deque(maxlen=lag + 1)
+        self._recent: deque[Estimate] = deque(maxlen=lag + 1)
         self.reset()
 
     @classmethod
@@ -79,23 +216,29 @@ class VisualOdometry(Odometry):
         """Forget the stream so far."""
         self._front_end = MotionFrontEnd(self.model.camera)
         self._filter.reset()
-        self._last.clear()
-        self._seen_s = self._shown_s = None
+        self._recent.clear()
+        self._last_s = self._usable_s = None
+
+    def _fresh(self) -> VisualOdometry:
+        return VisualOdometry(self.model, lag=0)
 
     def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
-        features = self.model.backbone.features_of(image)
-        motion = self._front_end.measure(image)
-        local = []
+        grey = grey_image(image)  # once for tracker and local features
+        motion = self._front_end.measure(grey)
+        local_features = []
         if self.model.looks_at_local_features:
-            local = [extract_local_features(image, self.model.camera)]
-            if self._shown_s is not None:
-                flow = affine_flow(self._front_end.tracker.step, timestamp_s - self._shown_s, self.model.camera)
-                local = [local[0]._replace(flow=flow)]
-        found = self.model.localize(FrameEvidence(features, local))
-        now = self._push(self._filter, found, motion, timestamp_s)
-        now = replace(now, tracks=self._front_end.tracks, corners=self._front_end.corners)
-        self._last.append(now)
-        return replace(now, revise=partial(_revised, self._filter.window(), self.model.prior))
+            local_features = [extract_local_features(grey, self.model.camera)]
+            if self._usable_s is not None:
+                flow = affine_flow(self._front_end.tracker.step, timestamp_s - self._usable_s, self.model.camera)
+                local_features = [local_features[0]._replace(flow=flow)]
+        localization = self.model.localize(FrameEvidence(self.model.backbone.features_of(image), local_features))
+        posterior = self._filter.push(
+            localization.candidates[0], motion, timestamp_s, known=bool(localization.known[0])
+        )
+        estimate = self._estimate(localization, motion, timestamp_s, posterior, ONLINE)
+        estimate = replace(estimate, tracks=self._front_end.tracks, corners=self._front_end.corners)
+        self._recent.append(estimate)
+        return replace(estimate, revise=partial(_revised, self._filter.window(), self.model.prior))
 
     def lagged(self) -> Estimate | None:
         """The estimate of the frame `lag` before the newest, from all up to the newest; unusable ones do not count.
@@ -105,98 +248,96 @@ class VisualOdometry(Odometry):
         None for others, and where the model has no such calibration. `reliable` asks for the same probability as in
         :meth:`step`.
         """
-        if len(self._last) <= self.lag:
+        if len(self._recent) <= self.lag:
             return None
-        then, posterior = self._last[0], self._filter.window().first(self.model.prior)
+        then, posterior = self._recent[0], self._filter.window().first(self.model.prior)
         assert then.localization is not None
         path = LAGGED if self.lag == FILTER.lag else ""
-        now = self._estimate(then.localization, then.relative_motion, then.timestamp_s, posterior, path)
-        return replace(now, tracks=then.tracks, corners=then.corners)
-
-    def _push(
-        self, pose_filter: PoseFilter, found: Localization, motion: RelativeMotion | None, timestamp_s: float
-    ) -> Estimate:
-        """The estimate of the next frame of a stream, from what its image says and how the camera moved."""
-        posterior = pose_filter.push(found.candidates[0], motion, timestamp_s, known=bool(found.known[0]))
-        return self._estimate(found, motion, timestamp_s, posterior, ONLINE)
+        estimate = self._estimate(then.localization, then.relative_motion, then.timestamp_s, posterior, path)
+        return replace(estimate, tracks=then.tracks, corners=then.corners)
 
     def _estimate(
-        self, found: Localization, motion: RelativeMotion | None, timestamp_s: float, posterior: Posterior, path: str
+        self,
+        localization: Localization,
+        motion: RelativeMotion | None,
+        timestamp_s: float,
+        posterior: Posterior,
+        path: str,
     ) -> Estimate:
         """The estimate of a frame from its posterior; `path` says which frames this rests on."""
         places = find_places(posterior, self.model.prior)
         best = places[0]
-        kind, known_p = EvidenceType(int(found.kinds[0])), float(found.known_p[0])
+        evidence, known_p = EvidenceType(int(localization.kinds[0])), float(localization.known_p[0])
         problems = [] if motion is None or motion.reliable else [str(motion.status)]
-        if kind is EvidenceType.UNKNOWN:
+        if evidence is EvidenceType.UNKNOWN:
             problems.append(f"like no place that is known (p = {known_p:.2g})")
         if best.probability < self.model.reliable_p:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
         return Estimate(
             timestamp_s=timestamp_s,
             pose=Trajectory(np.array([timestamp_s]), best.position_xyz[None], best.orientation_quat_wxyz[None]),
-            region=found.regions,
-            path_region=self.model.path_regions(found.beliefs, [posterior], path),
-            candidates=found.candidates[0],
+            region=localization.regions,
+            path_region=self.model.path_regions(localization.beliefs, [posterior], path),
+            candidates=localization.candidates[0],
             relative_motion=motion,
             reliable=not problems,
             problem="; ".join(problems),
-            localization=found,
-            estimates=list(found.beliefs.estimates[0]),
+            localization=localization,
+            estimates=list(localization.beliefs.estimates[0]),
             known_p=None if np.isnan(known_p) else known_p,
-            evidence=kind,
+            evidence=evidence,
             position_spread_m=float(np.linalg.norm(best.position_spreads)),
             orientation_spread_rad=best.orientation_spread_rad,
             posterior=posterior,
             places=places,
         )
 
-    def measure_motions(
-        self, sequence: Recording, frames: IntArray, progress: StageProgress | None = None
-    ) -> MotionRecord:
-        """Relative motions, submaps and local features of `frames`."""
-        return measure_motions(sequence, frames, progress)
-
-    def _answered(
-        self, sequence: Recording, frames: IntArray, features: Float32Array, motions: MotionRecord
-    ) -> OdometryRun:
-        local = [motions.local_features[i] for i in frames.tolist() if i in motions.local_features]
-        found = self.model.localize(FrameEvidence(features, local))
-        moved = [motions.motions[i] for i in frames.tolist()]
-        times, recording = sequence.timestamps_s[frames], sequence.recording[frames]
-        run = OdometryRun(
-            frames=frames,
-            timestamps_s=times,
-            localization=found,
-            candidates=found.candidates,
-            motions=moved,
-            submaps=motions.submaps_of(frames),
-            trajectories={},
-            unreadable=motions.unreadable,
-            reliable_p=self.model.reliable_p,
-        )
-        prior, n = self.model.prior, len(frames)
-        poses = {name: (np.empty((n, 3)), np.empty((n, 4))) for name in METHODS}
-        run.certainty = np.empty(n)
-        regions: dict[str, list[PoseRegions | None]] = {path: [None] * n for path in (ONLINE, HINDSIGHT)}
-        for at in rows_by_label(recording):  # motion is never linked across recordings
-            stream, seen = PoseFilter(prior, lag=0), run.observations(at)
-            its = [self._push(stream, found.row(i), moved[i], float(times[i])) for i in at.tolist()]
-            later = hindsight_posteriors(seen, prior, [one.posterior for one in its if one.posterior is not None])
-            online = concatenate([one.pose for one in its if one.pose is not None])
-            for name, path in {**whole_paths(later, seen, prior), ONLINE: online}.items():
-                poses[name][0][at], poses[name][1][at] = path.positions_xyz, path.orientations_quat_wxyz
-            for i, one, posterior in zip(at.tolist(), its, later, strict=True):
-                run.certainty[i] = one.places[0].probability
-                regions[ONLINE][i] = one.path_region
-                regions[HINDSIGHT][i] = self.model.path_regions(found.row(i).beliefs, [posterior], HINDSIGHT)
-        run.trajectories = {name: Trajectory(times, p, q) for name, (p, q) in poses.items()}
-        parts = {path: [one for one in its if one is not None] for path, its in regions.items()}
-        run.path_regions = {path: PoseRegions.concatenate(its) for path, its in parts.items() if its}
-        return run
-
 
 def _revised(window: Window, prior: MotionPrior) -> Trajectory:
     """The poses of the last frames of a stream, in hindsight."""
     path, _ = choose_places(window.hindsight(prior), window.seen.timestamps_s, prior)
     return as_trajectory(path)
+
+
+def _as_image(image: Any, camera: PinholeCamera) -> UInt8Array | str:
+    """An image (height, width, 3) in the camera's size, RGB, 8 bits, contiguous; or, as text, why it is not one.
+
+    It may be what NumPy makes an array of, such as a Pillow image.
+    """
+    if image is None:
+        return "no image"
+    expected = (camera.height, camera.width, 3)
+    try:
+        pixels = np.asarray(image)
+    except Exception as exc:  # whatever the object raises: it is not an image, and the stream goes on
+        return f"image is a {type(image).__name__} that is not an array ({type(exc).__name__}: {exc})"
+    if np.ma.is_masked(image):
+        return "image is masked, expected all pixels"
+    if pixels.shape != expected or pixels.dtype != np.uint8:
+        return f"image is {pixels.dtype} {pixels.shape}, expected uint8 {expected}"
+    return np.ascontiguousarray(pixels)  # flipped views too: others read its memory
+
+
+def _as_time(timestamp_s: Any, last_s: float | None) -> float:
+    """A timestamp in seconds, later than the last one."""
+    try:
+        seconds = float(timestamp_s)
+    except (TypeError, ValueError, OverflowError):
+        raise OdometryError(f"timestamp must be a number of seconds, got {timestamp_s!r}") from None
+    if not math.isfinite(seconds):
+        raise OdometryError(f"timestamp must be finite, got {seconds} s")
+    if last_s is not None and not seconds > last_s:
+        raise OdometryError(f"timestamps must increase: {seconds} s follows {last_s} s")
+    return seconds
+
+
+def _as_frames(frames: npt.ArrayLike, n: int) -> IntArray:
+    """Increasing indices (m,) of some of n frames."""
+    given = np.asarray(frames)
+    if given.ndim != 1 or (given.size and given.dtype.kind not in "iu"):
+        raise OdometryError(f"frames must be whole numbers of shape (m,), got {given.dtype} {given.shape}")
+    wanted = given.astype(np.int64)
+    if wanted.size and (wanted[0] < 0 or wanted[-1] >= n or (np.diff(wanted) <= 0).any()):
+        few = np.array2string(wanted, threshold=8, edgeitems=3, separator=", ")
+        raise OdometryError(f"frames must increase and lie within 0 and {n - 1}, got {few}")
+    return wanted

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -37,6 +37,9 @@ from .identity import FrameIdentities
 # What posteriors rest on: the frames up to each (online), also as many after it as the lag (lagged), or all frames of
 # its recording (hindsight).
 PATHS = ONLINE, LAGGED, HINDSIGHT = "online", "lagged", "hindsight"
+# Methods that give a trajectory. The first is the answer of a run.
+METHODS = "smoothed", HINDSIGHT, ONLINE
+PAPERS_METHOD = "greedy"
 
 
 def path_rule(cells: QuantileBins, alpha: Alpha) -> SplitConformal:
@@ -55,10 +58,15 @@ class Localization:
     known_p: FloatArray  # (n,) p-values of "this image shows a known place"; NaN where images are not tested
     kinds: IntArray  # (n,) evidence types, see :class:`~conformodal.localizer.region_rules.EvidenceType`
 
-    def row(self, i: int) -> Localization:
-        """That of image `i`, as n = 1."""
-        at = slice(i, i + 1)
-        return Localization(self.beliefs.part(at), self.regions[at], self.known_p[at], self.kinds[at])
+    @classmethod
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
+        """Those of all images, in order."""
+        proba = [np.concatenate(blocks) for blocks in zip(*(p.beliefs.proba for p in parts), strict=True)]
+        mixtures = [mixture for part in parts for mixture in part.beliefs.mixtures]
+        estimates = [estimate for part in parts for estimate in part.beliefs.estimates]
+        regions = PoseRegions.concatenate([part.regions for part in parts])
+        known_p, kinds = (np.concatenate([getattr(part, name) for part in parts]) for name in ("known_p", "kinds"))
+        return cls(Beliefs(proba, mixtures, estimates), regions, known_p, kinds)
 
     @property
     def candidates(self) -> list[Candidates]:
@@ -204,13 +212,13 @@ class PoseModel:
             p = self.novelty.p_values(evidence.features, beliefs.recognition, disturbed)
         kinds = self.rules.kinds(p, beliefs.recognised, disturbed)
         supports = self.localizer.supports(beliefs)
-        kinds[[its.out_of_range for its in supports]] = EvidenceType.UNKNOWN
-        return Localization(beliefs, self.image_regions(beliefs, kinds), p, kinds)
+        kinds[[support.out_of_range for support in supports]] = EvidenceType.UNKNOWN
+        return Localization(beliefs, self.image_regions(beliefs, kinds, supports), p, kinds)
 
-    def image_regions(self, beliefs: Beliefs, kinds: IntArray) -> PoseRegions:
+    def image_regions(self, beliefs: Beliefs, kinds: IntArray, supports: Sequence[Support]) -> PoseRegions:
         """Regions of n images, each by itself, from their evidence types (n,), at the miscoverage rate in force."""
         thresholds = self.rules.thresholds(kinds, beliefs.recognised)
-        return self._level_sets(self.rules.overall, beliefs, self.localizer.supports(beliefs), thresholds)
+        return self._level_sets(self.rules.overall, beliefs, supports, thresholds)
 
     def _level_sets(
         self, rule: SplitConformal, beliefs: Beliefs, supports: Sequence[Support], thresholds: RealArray
@@ -233,7 +241,7 @@ class PoseModel:
             return None
         after = beliefs.after(posteriors)
         supports = self.localizer.supports(after)
-        lost = [posterior.lost or its.out_of_range for posterior, its in zip(posteriors, supports, strict=True)]
+        lost = [p.lost or support.out_of_range for p, support in zip(posteriors, supports, strict=True)]
         thresholds = np.where(np.array(lost)[:, None], np.inf, rule.thresholds_)
         return self._level_sets(rule, after, supports, thresholds)
 

@@ -14,7 +14,6 @@ from conformodal.core.arrays import FloatArray, IntArray, rows_by_label
 from conformodal.core.progress import StageProgress
 from conformodal.core.ranges import as_member
 from conformodal.core.words import counted
-from conformodal.features.extract import FeatureCache
 from conformodal.geometry import Trajectory
 from conformodal.io import Recording
 from conformodal.localizer.radius import (
@@ -30,8 +29,7 @@ from .errors import OdometryError
 from .estimates import OdometryRun
 from .estimator import VisualOdometry
 from .identity import identify
-from .model import PoseModel
-from .paths import METHODS
+from .model import METHODS, PoseModel
 
 
 def calibrate_selection(
@@ -42,7 +40,6 @@ def calibrate_selection(
     method: str = METHODS[0],
     metres_per_rad: float | None = None,
     *,
-    cache: FeatureCache | None = None,
     progress: StageProgress | None = None,
 ) -> PoseRadius:
     """Answer whole recordings with known poses, and turn the errors into a radius.
@@ -58,7 +55,7 @@ def calibrate_selection(
     metres_per_rad
         How many metres of position weigh as much as one radian; None for the scene's depth, as training found it. The
         guarantee is exact as long as the true poses of these recordings had no part in choosing it.
-    cache, progress
+    progress
         As for :meth:`~conformodal.VisualOdometry.process`.
 
     Raises
@@ -83,7 +80,7 @@ def calibrate_selection(
     given = depth_or_default(model.prior.depth_m) if metres_per_rad is None else metres_per_rad
     depth = check_metres_per_rad(given)
     truth = sequence.require_truth()
-    run = VisualOdometry(model).process(sequence, cache=cache, progress=progress)
+    run = VisualOdometry(model).process(sequence, progress=progress)
     return fit_pose_radius(
         recording_errors(run, method, truth, sequence.recording),
         alpha,

@@ -1,9 +1,9 @@
-"""A model on a stream: answers at once, better ones a little later, all of them on disk, in constant memory."""
+"""A stream through an estimator: answers at once, better ones a little later, in constant memory."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Self
@@ -12,23 +12,22 @@ import numpy as np
 
 from conformodal.core.arrays import IntArray
 from conformodal.core.parallel import release_freed_memory
-from conformodal.geometry import RelativeMotion, Trajectory, concatenate
+from conformodal.geometry import Trajectory, concatenate
 from conformodal.io.streams.frames import Frame, SourceError
 from conformodal.localizer.filter import Posterior, hindsight_posteriors
-from conformodal.localizer.observations import Observations
+from conformodal.localizer.observations import Observations, PosePath
+from conformodal.localizer.places import choose_places, own_hypotheses
+from conformodal.localizer.prior import MotionPrior
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.localizer.regions import PoseRegions
+from conformodal.localizer.smoother import smooth
 from conformodal.pipeline.results.records import places_of, region_record
 from conformodal.pipeline.results.statistics import RegionStatistics
 from conformodal.pipeline.results.writer import ResultsWriter
-from conformodal.tracking.submaps import build_submaps
-from conformodal.tracking.tracker import Corners
 
-from .estimates import Estimate
+from .estimates import Estimate, FrameEstimator, observations_of
 from .evaluate import path_coverage_table
-from .model import HINDSIGHT, ONLINE, Localization
-from .odometry import Odometry
-from .paths import whole_paths
+from .model import HINDSIGHT, METHODS, ONLINE
 
 # Whole-path answers are worked out for so many frames at a time. The last ones wait for the next window, and that one
 # sees as many frames before them: what is further away than a few hundred frames tells nothing of a frame.
@@ -37,25 +36,49 @@ _PROBLEMS_KEPT = 100
 _MOST_BACK = 10  # frames in a row whose time does not go on; more are a clock that was set back
 
 
-@dataclass(eq=False)
+def whole_paths(posteriors: list[Posterior], observations: Observations, prior: MotionPrior) -> dict[str, Trajectory]:
+    """The paths that need all frames of a recording: the most probable place of each frame, and that path smoothed.
+
+    From posteriors in hindsight, and what they were worked out from.
+    """
+    best, _ = choose_places(posteriors, observations.timestamps_s, prior)
+    smoothed = smooth(own_hypotheses(best, observations, prior), observations, prior)
+    return {METHODS[0]: as_trajectory(smoothed), HINDSIGHT: as_trajectory(best)}
+
+
+def as_trajectory(path: PosePath) -> Trajectory:
+    """The poses of a path."""
+    return Trajectory(path.timestamps_s, path.positions_xyz, path.orientations_quat_wxyz)
+
+
+@dataclass(frozen=True, eq=False)
 class _Pending:
     """A frame whose final answer is still to come."""
 
-    timestamp_s: float
-    found: Localization
-    posterior: Posterior
-    motion: RelativeMotion | None
-    corners: Corners
+    estimate: Estimate
     truth: Trajectory | None
 
 
 class StreamRunner:
-    """Takes frames one by one and writes what a model makes of them.
+    """Takes frames one by one, answers each, and writes the answers.
 
     Regions and poses are written as frames come. Whole paths (hindsight, smoothed) follow for a window of
     frames at a time, of which an overlap, less than half of it, waits for the next window; sources of no more than 2000
     frames are one. As a context it ends the thread that answers windows, whatever error ends the stream;
-    :meth:`finish` writes. Coverage is measured with the `truth` of the frames `posed` of a data set; None for all.
+    :meth:`finish` writes.
+
+    Parameters
+    ----------
+    estimator
+        Answers each frame; it is reset here and at each new recording.
+    writer
+        Writes regions and poses; None writes nothing.
+    truth, posed
+        True poses of the frames `posed` of a data set, None for all, to measure coverage with.
+    window, overlap
+        Frames.
+    keep_regions
+        Whether to keep regions in hindsight.
 
     Attributes
     ----------
@@ -72,19 +95,22 @@ class StreamRunner:
         The first hundred frames without an image, by name, and why; `n_problems` counts all.
     windowed
         Whether a recording was too long to be answered as a whole.
+    hindsight_regions
+        Of all frames so far, if they are kept and the model has them.
     """
 
     def __init__(
         self,
-        odometry: Odometry,
-        writer: ResultsWriter,
+        estimator: FrameEstimator,
+        writer: ResultsWriter | None = None,
         *,
         truth: Trajectory | None = None,
         posed: IntArray | None = None,
         window: int = WINDOW,
         overlap: int = OVERLAP,
+        keep_regions: bool = False,
     ) -> None:
-        self.odometry, self.writer = odometry, writer
+        self.estimator, self.writer = estimator, writer
         self.window, self.overlap = window, overlap
         self.n_answered = self.n_unreliable = self.n_localized = self.n_unknown = self.n_problems = 0
         self.answered: list[int] = []
@@ -92,13 +118,15 @@ class StreamRunner:
         self.motion: Counter[str] = Counter()
         self.windowed = False
         self.problems: dict[str, str] = {}
+        self.hindsight_regions: list[PoseRegions] = []
+        self._keep_regions = keep_regions
         self._truth = truth
         frames = range(0 if truth is None else len(truth)) if posed is None else posed.tolist()
         self._row = {frame: row for row, frame in enumerate(frames)}
+        self._poses: defaultdict[str, list[Trajectory]] = defaultdict(list)
         self._statistics: list[RegionStatistics] = []
         self._path_statistics: dict[str, list[RegionStatistics]] = {ONLINE: [], HINDSIGHT: []}
         self._reliable: list[bool] = []
-        self._online: list[Trajectory] = []
         self._pending: list[_Pending] = []
         self._n_written = 0  # of the pending, which stay to tell of those that follow
         self._recording: int | None = None
@@ -106,7 +134,13 @@ class StreamRunner:
         self._n_back = 0  # frames in a row
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="windows")
         self._job: Future[None] | None = None
-        odometry.reset()
+        estimator.reset()
+
+    @property
+    def trajectories(self) -> dict[str, Trajectory]:
+        """The poses so far by method, the answer first."""
+        ordered = sorted(self._poses, key=lambda method: method != self.estimator.answer)
+        return {method: concatenate(self._poses[method]) for method in ordered}
 
     @property
     def statistics(self) -> RegionStatistics:
@@ -116,11 +150,14 @@ class StreamRunner:
     @property
     def path_coverage(self) -> dict[str, Any] | None:
         """Of the regions from posteriors; None where the model has none or no truth is known."""
-        its = {path: RegionStatistics.concatenate(parts) for path, parts in self._path_statistics.items() if parts}
-        if not its or self.truth is None:
+        statistics = {
+            path: RegionStatistics.concatenate(parts) for path, parts in self._path_statistics.items() if parts
+        }
+        truth = self.truth
+        if not statistics or truth is None:
             return None
-        online, reliable = concatenate(self._online), np.array(self._reliable)
-        return path_coverage_table(its, self.odometry.model, online, self.truth, reliable)
+        online = self.trajectories[ONLINE][np.array(self.known)]
+        return path_coverage_table(statistics, self.estimator.model, online, truth, np.array(self._reliable))
 
     @property
     def truth(self) -> Trajectory | None:
@@ -155,17 +192,17 @@ class StreamRunner:
         self._n_back = 0
         if frame.recording != self._recording:
             self._flush(everything=True)
-            self.odometry.reset()
+            self.estimator.reset()
             self._recording = frame.recording
         self._last = frame
         if not frame.answer:
-            self.odometry.track_only(frame.image, frame.timestamp_s)
+            self.estimator.track_only(frame.image, frame.timestamp_s)
             return None
-        estimate = self.odometry.step(frame.image, frame.timestamp_s)
+        estimate = self.estimator.step(frame.image, frame.timestamp_s)
         if estimate.region is None:
             self._note(frame, frame.problem or estimate.problem)
         else:
-            self._take(frame, estimate)
+            self._append(frame, estimate)
         return estimate
 
     def finish(self) -> None:
@@ -184,90 +221,95 @@ class StreamRunner:
         if len(self.problems) < _PROBLEMS_KEPT:
             self.problems[frame.name] = problem
 
-    def _take(self, frame: Frame, estimate: Estimate) -> None:
-        model, motion, region, pose = self.odometry.model, estimate.relative_motion, estimate.region, estimate.pose
+    def _append(self, frame: Frame, estimate: Estimate) -> None:
+        """Count, measure and write an answer, and queue it for the whole path."""
+        motion, region, pose = estimate.relative_motion, estimate.region, estimate.pose
         assert region is not None
         assert pose is not None
-        assert estimate.localization is not None
-        assert estimate.corners is not None
         assert estimate.evidence is not None
         self.n_answered += 1
         self.n_unreliable += not estimate.reliable
         self.n_localized += bool(estimate.estimates)
+        self.n_unknown += estimate.evidence is EvidenceType.UNKNOWN
         if motion is not None:
             self.motion[str(motion.status)] += 1
-        self.n_unknown += estimate.evidence is EvidenceType.UNKNOWN
-        place_p = estimate.places[0].probability if estimate.places else None
-        record = region_record(
-            frame.name,
-            frame.timestamp_s,
-            motion,
-            region.intervals(0),
-            estimate.known_p,
-            estimate.evidence,
-            place_p,
-            reliable=estimate.reliable,
-            places=places_of(region),
-            path_places=places_of(estimate.path_region),
-        )
-        self.writer.region(record)
-        here = self.true_pose(frame)
-        if here is not None:
-            kind = np.array([estimate.evidence])
-            self._statistics.append(RegionStatistics.of(region, here, model.sign_reference, kind))
+        if self.writer is not None:
+            place_p = estimate.places[0].probability if estimate.places else None
+            record = region_record(
+                frame.name,
+                frame.timestamp_s,
+                motion,
+                region.intervals(0),
+                estimate.known_p,
+                estimate.evidence,
+                place_p,
+                reliable=estimate.reliable,
+                places=places_of(region),
+                path_places=places_of(estimate.path_region),
+            )
+            self.writer.region(record)
+        truth = self.true_pose(frame)
+        if truth is not None:
+            sign, kind = self.estimator.model.sign_reference, np.array([estimate.evidence])
+            self._statistics.append(RegionStatistics.of(region, truth, sign, kind))
             self.answered.append(frame.index)
             self.known.append(self.n_answered - 1)
             self._reliable.append(estimate.reliable)
-            self._online.append(pose)
-            self._measure_path(ONLINE, estimate.path_region, here)
-        if not self.odometry.whole_paths:  # each answer is the last word
-            self.writer.poses(self.odometry.answer, pose)
+            self._measure_path(ONLINE, estimate.path_region, truth)
+        if not self.estimator.whole_paths:  # each answer is the last word
+            self._add_poses(self.estimator.answer, pose)
             return
-        self.writer.poses(ONLINE, pose)
-        assert estimate.posterior is not None
-        image, posterior = estimate.localization, estimate.posterior
-        self._pending.append(_Pending(frame.timestamp_s, image, posterior, motion, estimate.corners, here))
+        self._add_poses(ONLINE, pose)
+        self._pending.append(_Pending(estimate, truth))
         if len(self._pending) >= self.window:
             self.windowed = True
             self._flush(everything=False)
 
+    def _add_poses(self, method: str, trajectory: Trajectory) -> None:
+        self._poses[method].append(trajectory)
+        if self.writer is not None:
+            self.writer.poses(method, trajectory)
+
     def _flush(self, *, everything: bool) -> None:
         """Answer the frames that wait, and write all answers but those of the last `overlap` frames, or all."""
         if len(self._pending) == self._n_written:
-            self._settle()
+            self._finish_window()
             self._pending, self._n_written = [], 0
             return
         pending = self._pending
         done = len(pending) if everything else len(pending) - self.overlap
         kept_from = done if everything else done - self.overlap
-        self._settle()  # one window at a time, so that memory stays bounded
-        self._job = self._pool.submit(self._answer, pending, slice(self._n_written, done))
+        self._finish_window()  # one window at a time, so that memory stays bounded
+        self._job = self._pool.submit(self._answer_window, pending, slice(self._n_written, done))
         self._pending, self._n_written = pending[kept_from:], done - kept_from
         if everything:
-            self._settle()
+            self._finish_window()
 
-    def _answer(self, pending: list[_Pending], wanted: slice) -> None:
+    def _answer_window(self, pending: list[_Pending], wanted: slice) -> None:
         """Answer a window, and write some of its frames; in a thread, so that a camera is not kept waiting."""
-        model = self.odometry.model
-        times = np.array([p.timestamp_s for p in pending])
-        submaps = build_submaps([p.corners for p in pending], model.camera)
-        known = np.array([p.found.known[0] for p in pending])
-        images, motions = [p.found.candidates[0] for p in pending], [p.motion for p in pending]
-        seen = Observations(images, motions, times, submaps, known)
-        later = hindsight_posteriors(seen, model.prior, [p.posterior for p in pending])
-        for name, trajectory in whole_paths(later, seen, model.prior).items():
-            self.writer.poses(name, trajectory[wanted])
-        for p, posterior in zip(pending[wanted], later[wanted], strict=True):
+        model = self.estimator.model
+        estimates = [p.estimate for p in pending]
+        observations = observations_of(estimates, model)
+        forward = [e.posterior for e in estimates if e.posterior is not None]
+        posteriors = hindsight_posteriors(observations, model.prior, forward)
+        for method, trajectory in whole_paths(posteriors, observations, model.prior).items():
+            self._add_poses(method, trajectory[wanted])
+        for p, posterior in zip(pending[wanted], posteriors[wanted], strict=True):
+            if (p.truth is None and not self._keep_regions) or p.estimate.localization is None:
+                continue
+            region = model.path_regions(p.estimate.localization.beliefs, [posterior], HINDSIGHT)
+            if self._keep_regions and region is not None:
+                self.hindsight_regions.append(region)
             if p.truth is not None:
-                self._measure_path(HINDSIGHT, model.path_regions(p.found.beliefs, [posterior], HINDSIGHT), p.truth)
+                self._measure_path(HINDSIGHT, region, p.truth)
         release_freed_memory()
 
     def _measure_path(self, path: str, region: PoseRegions | None, truth: Trajectory) -> None:
         if region is not None:
-            sign = self.odometry.model.sign_reference
+            sign = self.estimator.model.sign_reference
             self._path_statistics[path].append(RegionStatistics.of(region, truth, sign))
 
-    def _settle(self) -> None:
+    def _finish_window(self) -> None:
         """Wait for the window that is being answered."""
         if self._job is not None:
             self._job.result()

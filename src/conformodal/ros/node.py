@@ -23,8 +23,8 @@ from conformodal.io.streams.frames import SourceError
 from conformodal.io.streams.ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of, key_of_info
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimates import Estimate
-from conformodal.pipeline.odometry import Odometry
-from conformodal.pipeline.paper_odometry import odometry_of
+from conformodal.pipeline.estimator import Odometry
+from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.store import load_model
 
 from .conventions import TOPICS, Conventions, Covariance, RosError

@@ -83,10 +83,9 @@ def test_errors_of_held_out_frames_are_about_as_large_as_the_standard_deviations
 def test_landmarks_find_the_way_where_a_network_hardly_learnt(model, blind, sequence, small_world):
     test = model.split.test
     truth = sequence.truth[test].positions_xyz
-    cache = FeatureCache(small_world.cache)
 
     def median_error(which):
-        found = VisualOdometry(which).process(sequence, test, cache=cache).trajectory
+        found = VisualOdometry(which).process(sequence, test).trajectory
         return np.median(np.linalg.norm(found.positions_xyz - truth, axis=1))
 
     assert median_error(model) < 0.5 * median_error(blind)
@@ -114,8 +113,7 @@ def test_poses_of_something_else_give_wide_estimates(sequence):
 
 
 def test_regions_with_landmarks_are_smaller_and_as_sure(model, blind, sequence, small_world):
-    cache = FeatureCache(small_world.cache)
-    run, plain = (VisualOdometry(w).process(sequence, model.split.test, cache=cache) for w in (model, blind))
+    run, plain = (VisualOdometry(w).process(sequence, model.split.test) for w in (model, blind))
     truth = sequence.truth[model.split.test]
     with_landmarks, without = (
         RegionStatistics.of(r.regions, truth, model.sign_reference, r.kinds) for r in (run, plain)

@@ -17,8 +17,7 @@ from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.config import Method
 from conformodal.pipeline.errors import ResultsError
 from conformodal.pipeline.estimates import OdometryRun
-from conformodal.pipeline.model import ONLINE
-from conformodal.pipeline.paths import METHODS, PAPERS_METHOD
+from conformodal.pipeline.model import METHODS, ONLINE, PAPERS_METHOD
 
 from .folders import check_owner
 from .records import METRICS, TRAJECTORY, places_of, region_record
@@ -39,7 +38,7 @@ def write_run(
             writer.truth(truth)
         reliable, path = run.reliable.tolist(), run.path_regions.get(ONLINE)
         for i, name in enumerate(frame_names):
-            place_p = None if run.certainty is None else float(run.certainty[i])
+            place_p = run.estimates[i].places[0].probability if run.estimates[i].places else None
             frame = name, float(run.timestamps_s[i]), run.motions[i], run.regions.intervals(i)
             record = region_record(
                 *frame,

@@ -12,7 +12,7 @@ from typing import Any, Self, TextIO
 
 from conformodal.geometry import Trajectory
 from conformodal.io.pose_files import TUM_HEADER, tum_lines
-from conformodal.pipeline.paths import METHODS
+from conformodal.pipeline.model import METHODS
 
 from .folders import UNFINISHED, discard, holds_results, lock_output, replace_results
 from .records import REGIONS, TRAJECTORY, TRUTH
