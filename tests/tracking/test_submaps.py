@@ -1,15 +1,10 @@
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import PinholeCamera
-from conformodal.geometry import bundle as bundle_module
-from conformodal.geometry.bundle import Bundle, Views, adjust_bundle
-from conformodal.geometry.settings import BUNDLE
 from conformodal.io import read_sevenscenes
 from conformodal.io.decoding import grey_image
 from conformodal.tracking.submaps import build_submaps
@@ -43,61 +38,6 @@ def corners_of(centres, rotations, points, noise_px=0.0, seed=0, visible=None):
         there = np.arange(len(points)) if visible is None else visible(t)
         found.append(Corners(there.astype(np.int64), pixels[there].astype(np.float32)))
     return found
-
-
-def disturbed(centres, rotations, points, seed=1):
-    """Views of all frames from the first, the exact bundle, and a start that is off."""
-    rng = np.random.default_rng(seed)
-    anchor = on_plane(centres[0], rotations[0], points)
-    others = np.stack([on_plane(centres[t], rotations[t], points) for t in range(1, len(centres))])
-    views = Views(anchor, others, np.ones(others.shape[:2], dtype=bool))
-    relative = rotations[0].inv() * rotations[1:]
-    places = rotations[0].inv().apply(centres[1:] - centres[0])
-    inverse = 1 / rotations[0].inv().apply(points - centres[0])[:, 2]
-    length = np.linalg.norm(places[-1])
-    exact = Bundle(relative.as_matrix(), places / length, inverse * length)
-    turned = relative * Rotation.from_rotvec(rng.normal(size=(len(places), 3)) * 0.01)
-    shifted = exact.positions * (1 + 0.1 * rng.normal(size=places.shape))
-    return views, exact, Bundle(turned.as_matrix(), shifted, exact.inverse_depths * rng.uniform(0.7, 1.4, len(points)))
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_bundles_without_noise_are_exact(seed):
-    views, exact, start = disturbed(*world(8, seed=seed), seed=seed)
-    found, residuals = adjust_bundle(start, views, 1e-3)
-    np.testing.assert_allclose(found.positions, exact.positions, atol=1e-6)
-    np.testing.assert_allclose(found.R_anchor_frame, exact.R_anchor_frame, atol=1e-6)
-    np.testing.assert_allclose(found.inverse_depths, exact.inverse_depths, rtol=1e-4)
-    assert residuals.max() < 1e-6
-
-
-def test_bundles_agree_with_scipy(monkeypatch):
-    monkeypatch.setattr(bundle_module, "BUNDLE", replace(BUNDLE, cauchy=1e4, enough=0.0))  # plain least squares
-    views, exact, start = disturbed(*world(4, 40))
-    rng = np.random.default_rng(0)
-    views = views._replace(others=views.others + rng.normal(size=views.others.shape) * 1e-3)
-    views.seen[0, :5] = False
-    found, _ = adjust_bundle(start, views, 1e-3)
-    k = len(exact.positions)
-
-    def residuals(x):
-        turns, places, inverse = x[: 3 * k].reshape(k, 3), x[3 * k : 6 * k].reshape(k, 3), x[6 * k :]
-        rays = np.column_stack((views.anchor, np.ones(len(inverse))))
-        off = []
-        for t in range(k):
-            seen = Rotation.from_rotvec(turns[t]).inv().apply(rays - inverse[:, None] * places[t])
-            off.append(np.where(views.seen[t][:, None], seen[:, :2] / seen[:, 2:] - views.others[t], 0))
-        return np.ravel(off) * 1e3
-
-    turns = Rotation.from_matrix(exact.R_anchor_frame).as_rotvec()
-    best = least_squares(
-        residuals, np.concatenate((turns.ravel(), exact.positions.ravel(), exact.inverse_depths)), xtol=1e-12
-    )
-    places = best.x[3 * k : 6 * k].reshape(k, 3)
-    np.testing.assert_allclose(found.positions, places / np.linalg.norm(places[-1]), atol=1e-5)
-    np.testing.assert_allclose(
-        Rotation.from_matrix(found.R_anchor_frame).as_rotvec(), best.x[: 3 * k].reshape(k, 3), atol=1e-5
-    )
 
 
 def misfit(submap, centres, rotations):

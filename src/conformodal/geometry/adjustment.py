@@ -1,275 +1,299 @@
-"""Bundle adjustment of a map (Triggs et al. 2000): keyframe poses and focal length, held near the given poses.
+"""Bundle adjustment (Triggs et al. 2000): cameras and points that fit their observations best.
 
-Given poses have clock offsets, warps and noise of their own, which blur a map that believes them. Priors hold the
-adjusted poses near the given ones, moved by the camera's mount; the standard deviations are learnt from the data.
+One solver for maps of hundreds of frames and for submaps of nine. Levenberg-Marquardt with Cauchy weights; the Schur
+complement removes the points. The unknowns left are solved for directly where cameras are few, and by conjugate
+gradients (Agarwal et al. 2010) without forming their matrix where they are many.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, cg
 from scipy.spatial.transform import Rotation
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray
-from conformodal.core.robust import MAD_OF_NORMAL
-from conformodal.geometry import cross_matrices
+from conformodal.core.arrays import FloatArray, IntArray
 
-from .camera_fit import Mounted
-from .settings import ADJUSTMENT
-from .triangulation import Rays
+from .settings import SOLVER
 
-_FIXED = 1e-9  # sigma of what does not change
+# Which of the four homogeneous coordinates of points are unknown. One inverse depth per point is well behaved far away
+# (Civera et al. 2008), where the ray from one of the cameras is known.
+POSITIONS, INVERSE_DEPTHS = slice(0, 3), slice(3, 4)
+
+_Matrix: TypeAlias = Any  # sparse or dense, which one operator multiplies alike
 
 
-class Tracks(NamedTuple):
-    """Points, each seen by several frames at disjoint corners."""
+class Bundle(NamedTuple):
+    """Cameras and points."""
 
-    points: FloatArray  # (p, 3)
-    point: IntArray  # (m,) 0 to p - 1, increasing: the point of each observation
-    frame: IntArray  # (m,)
+    R_world_cam: FloatArray  # (n, 3, 3)
+    centres: FloatArray  # (n, 3)
+    points: FloatArray  # (p, 4) homogeneous: a position and 1, or a direction and an inverse depth along it
+    log_focal: float = 0.0  # change of the focal length
+
+
+class Observations(NamedTuple):
+    """Which camera sees which point where; a camera sees a point at most once."""
+
+    camera: IntArray  # (m,) increasing
+    point: IntArray  # (m,)
     plane: FloatArray  # (m, 2) on the plane at depth 1
 
+    def starts(self, n_cameras: int) -> IntArray:
+        """Index (n + 1,) of the first observation of each camera, and of the end."""
+        return np.searchsorted(self.camera, np.arange(n_cameras + 1))
 
-class Adjusted(NamedTuple):
-    """An adjusted camera, its poses ``T_world_cam`` (n, 4, 4), and the learnt sigmas of the given ones."""
+    def sum_by_point(self, values: FloatArray, n_points: int) -> FloatArray:
+        """Sums (p, ...) of values (m, ...) of observations."""
+        m = len(self.point)
+        adding = sparse.csr_array((np.ones(m), (self.point, np.arange(m))), shape=(n_points, m))
+        return np.asarray(adding @ values.reshape(m, -1)).reshape(n_points, *values.shape[1:])
 
-    mounted: Mounted
-    poses_cam: FloatArray
+
+class PosePriors(NamedTuple):
+    """Where cameras are expected."""
+
+    poses: FloatArray  # (n, 4, 4) ``T_world_cam``
     sigmas: FloatArray  # (6,) radians in the camera's frame, and metres
-    known_camera: bool = False  # whether focal length and mount are those of an earlier map, and stay
+
+    def deviations(self, bundle: Bundle) -> FloatArray:
+        """Rotation vectors and translations (n, 6) from the expected poses to those of a bundle."""
+        turns = Rotation.from_matrix(np.swapaxes(self.poses[:, :3, :3], 1, 2) @ bundle.R_world_cam).as_rotvec()
+        return np.concatenate((turns, bundle.centres - self.poses[:, :3, 3]), axis=1)
 
 
-def choose_tracks(chunks: Sequence[tuple[Rays, FloatArray, BoolArray]], n_frames: int, tolerance: float) -> Tracks:
-    """Long tracks, so many that each frame has enough: rays with the points (c, 3) of their corners and whether sound.
+class Fit(NamedTuple):
+    """A bundle and what it leaves unexplained."""
 
-    A corner is in one track at most, so no observation counts twice.
-    """
-    parts = [(rays, *_agreeing(rays, points, sound, tolerance)) for rays, points, sound in chunks]
-    own = np.concatenate([rays.seen[first][keep] for rays, first, keep in parts])
-    seen = np.concatenate([rays.seen[keep] for rays, _, keep in parts])
-    frame = np.concatenate([rays.camera[keep] for rays, _, keep in parts])
-    plane = np.concatenate([rays.plane[keep] for rays, _, keep in parts])
-    points = np.concatenate(
-        [points[rays.corner[keep]] for (rays, _, keep), (_, points, _) in zip(parts, chunks, strict=True)]
-    )
-    starts = np.flatnonzero(np.diff(own, prepend=-1))
-    counts = np.diff(np.append(starts, len(own)))
-    used, taken = np.zeros(int(max(seen.max(initial=0), own.max(initial=0))) + 1, dtype=bool), np.zeros(n_frames, int)
-    rows: list[IntArray] = []
-    order = np.argsort(-counts, kind="stable")
-    order = order[counts[order] >= ADJUSTMENT.least_views]
-    for k, start, end in zip(own[starts[order]].tolist(), starts[order], (starts + counts)[order], strict=True):
-        if used[k]:
-            continue
-        at = np.arange(start, end)[~used[seen[start:end]]]
-        if len(at) >= ADJUSTMENT.least_views and taken[frame[at]].min() < ADJUSTMENT.tracks:
-            used[seen[at]] = True
-            taken[frame[at]] += 1
-            rows.append(at)
-    if not rows:
-        return Tracks(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)))
-    every, point = np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(at) for at in rows])
-    return Tracks(points[[at[0] for at in rows]], point, frame[every], plane[every])
-
-
-def _agreeing(rays: Rays, points: FloatArray, sound: BoolArray, tolerance: float) -> tuple[IntArray, BoolArray]:
-    """The first ray of each ray's corner, and which rays agree with its point."""
-    first = np.flatnonzero(np.diff(rays.corner, prepend=-1))[rays.corner]
-    R = rays.R_world_cam[rays.camera]
-    local = np.einsum("mba,mb->ma", R, np.nan_to_num(points[rays.corner]) - rays.centres[rays.camera])
-    ahead = local[:, 2] > 0
-    plane = local[:, :2] / np.where(ahead, local[:, 2], 1.0)[:, None]
-    return first, sound[rays.corner] & ahead & (np.linalg.norm(plane - rays.plane, axis=1) < tolerance)
-
-
-def adjust(now: Adjusted, poses_se3: FloatArray, tracks: Tracks) -> Adjusted:
-    """Adjust all by Levenberg-Marquardt with Cauchy weights, then learn the mount and the sigmas again."""
-    bundle = _solve(
-        _Bundle(now.poses_cam[:, :3, :3], now.poses_cam[:, :3, 3], tracks.points, 0.0), now, poses_se3, tracks
-    )
-    poses, camera, factor = now.poses_cam.copy(), now.mounted.camera, float(np.exp(bundle.log_focal))
-    poses[:, :3, :3], poses[:, :3, 3] = bundle.R, bundle.centres
-    relative = np.linalg.inv(poses_se3) @ poses
-    mount = now.mounted.T_pose_cam.copy()
-    if not now.known_camera:
-        mount[:3, :3] = Rotation.from_matrix(relative[:, :3, :3]).mean().as_matrix()
-        mount[:3, 3] = np.median(relative[:, :3, 3], axis=0)
-    off = _deviations(bundle, poses_se3 @ mount)
-    spread = np.repeat([np.median(np.abs(off[:, :3])), np.median(np.abs(off[:, 3:]))], 3) / MAD_OF_NORMAL
-    focused = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
-    mounted = now.mounted if now.known_camera else now.mounted._replace(camera=focused, T_pose_cam=mount)
-    return now._replace(
-        mounted=mounted, poses_cam=poses, sigmas=np.maximum(spread, ADJUSTMENT.least_sigma * now.sigmas)
-    )
-
-
-def given_frame_errors(adjusted: Adjusted, poses_se3: FloatArray) -> FloatArray:
-    """Errors (n, 6) of adjusted poses in the given frame: metres and a rotation vector, world."""
-    poses = adjusted.poses_cam @ np.linalg.inv(adjusted.mounted.T_pose_cam)
-    turns = Rotation.from_matrix(poses[:, :3, :3] @ np.swapaxes(poses_se3[:, :3, :3], 1, 2)).as_rotvec()
-    return np.concatenate((poses[:, :3, 3] - poses_se3[:, :3, 3], turns), axis=1)
-
-
-class _Bundle(NamedTuple):
-    R: FloatArray  # (n, 3, 3) R_world_cam
-    centres: FloatArray  # (n, 3)
-    points: FloatArray  # (p, 3)
-    log_focal: float  # change of the focal length
-
-
-class _Residuals(NamedTuple):
-    local: FloatArray  # (m, 3) points in the frame of the camera that sees them
-    pixels: FloatArray  # (m, 2)
-    priors: FloatArray  # (n, 6) in sigmas
+    bundle: Bundle
+    local: FloatArray  # (m, 3) points in the frame of the camera that sees them, times their fourth coordinate
+    residuals: FloatArray  # (m, 2) in sigmas
+    deviations: FloatArray | None  # (n, 6) from the priors, in their sigmas
     cost: float
 
 
-def _deviations(bundle: _Bundle, prior: FloatArray) -> FloatArray:
-    turns = Rotation.from_matrix(np.swapaxes(prior[:, :3, :3], 1, 2) @ bundle.R).as_rotvec()
-    return np.concatenate((turns, bundle.centres - prior[:, :3, 3]), axis=1)
+@dataclass(frozen=True, eq=False)
+class Adjustment:
+    """A problem of bundle adjustment.
 
+    Attributes
+    ----------
+    sigma
+        Standard deviation of an observation on the plane at depth 1.
+    cauchy
+        Residuals larger than so many sigmas are down-weighted.
+    unknown
+        :data:`POSITIONS` or :data:`INVERSE_DEPTHS`.
+    focal_sigma
+        Standard deviation of the focal length's logarithm; by default it does not change.
+    iterations, enough
+        Iterations at most, and the relative decrease of the cost that ends them.
+    """
 
-def _solve(bundle: _Bundle, now: Adjusted, poses_se3: FloatArray, tracks: Tracks) -> _Bundle:
-    prior, focal = poses_se3 @ now.mounted.T_pose_cam, (now.mounted.camera.fx + now.mounted.camera.fy) / 2
-    sigma_focal = _FIXED if now.known_camera else ADJUSTMENT.sigma_focal
+    observations: Observations
+    sigma: float
+    cauchy: float
+    unknown: slice
+    iterations: int
+    enough: float
+    priors: PosePriors | None = None
+    focal_sigma: float = SOLVER.fixed
 
-    def residuals(its: _Bundle) -> _Residuals:
-        local = np.einsum("mba,mb->ma", its.R[tracks.frame], its.points[tracks.point] - its.centres[tracks.frame])
-        ahead = np.maximum(local[:, 2:], 1e-6)
-        pixels = (local[:, :2] / ahead * np.exp(its.log_focal) - tracks.plane) * focal
-        priors = _deviations(its, prior) / now.sigmas
-        cost = np.log1p((pixels**2).sum(axis=1)).sum() + (priors**2).sum() + (its.log_focal / sigma_focal) ** 2
-        return _Residuals(local, pixels, priors, float(cost))
-
-    found, damping = residuals(bundle), 1e-4
-    for _ in range(ADJUSTMENT.iterations):
-        system = _System.of(bundle, found, tracks, now.sigmas, focal, sigma_focal)
-        for _ in range(ADJUSTMENT.dampings):
-            after = system.step(bundle, damping)
-            its = residuals(after)
-            if its.cost <= found.cost:
-                damping = max(damping / 10, 1e-9)
+    def solve(self, start: Bundle) -> Fit:
+        """The bundle of least cost near a start."""
+        fit, damping = self.evaluate(start), SOLVER.damping
+        for _ in range(self.iterations):
+            equations = self._linearise(fit)
+            for _ in range(SOLVER.dampings):
+                trial = self.evaluate(equations.step(fit.bundle, damping))
+                if trial.cost <= fit.cost:
+                    damping = max(damping / 10, SOLVER.least_damping)
+                    break
+                damping *= 10
+            else:
+                return fit
+            converged = fit.cost - trial.cost <= self.enough * fit.cost
+            fit = trial
+            if converged:
                 break
-            damping *= 10
-        else:
-            return bundle
-        enough = found.cost - its.cost <= ADJUSTMENT.enough * found.cost
-        bundle, found = after, its
-        if enough:
-            break
-    return bundle
+        return fit
+
+    def evaluate(self, bundle: Bundle) -> Fit:
+        """Residuals of a bundle."""
+        camera, point, plane = self.observations
+        points = bundle.points[point]
+        local = np.einsum(
+            "mba,mb->ma", bundle.R_world_cam[camera], points[:, :3] - points[:, 3:] * bundle.centres[camera]
+        )
+        ahead = np.maximum(local[:, 2:], SOLVER.nearest)
+        residuals = (local[:, :2] / ahead * np.exp(bundle.log_focal) - plane) / self.sigma
+        cost = self.cauchy**2 * np.log1p((residuals**2).sum(axis=1) / self.cauchy**2).sum()
+        cost += (bundle.log_focal / self.focal_sigma) ** 2
+        deviations = None if self.priors is None else self.priors.deviations(bundle) / self.priors.sigmas
+        if deviations is not None:
+            cost += (deviations**2).sum()
+        return Fit(bundle, local, residuals, deviations, float(cost))
+
+    def _linearise(self, fit: Fit) -> _NormalEquations:
+        """Normal equations about a fit."""
+        bundle, (camera, point, _) = fit.bundle, self.observations
+        z = np.maximum(fit.local[:, 2], SOLVER.nearest)
+        x, y = fit.local[:, 0], fit.local[:, 1]
+        u, v = x / z, y / z
+        root = 1 / np.sqrt(1 + (fit.residuals**2).sum(axis=1) / self.cauchy**2)
+        scale = (root * np.exp(bundle.log_focal) / (self.sigma * z))[:, None]
+        # how the two coordinates of an observation change with the unknowns. R exp(turn) moves what the camera sees by
+        # its cross product with the turn
+        changes = np.empty((len(z), 2, 8))  # turn, centre, focal length; and the residual itself
+        changes[:, 0, :3] = np.stack((u * y, -z - u * x, y), axis=1)
+        changes[:, 1, :3] = np.stack((z + v * y, -v * x, -x), axis=1)
+        axes = np.swapaxes(bundle.R_world_cam, 1, 2)[camera]
+        by_position = scale[:, None] * (axes[:, :2] - np.stack((u, v), axis=1)[:, :, None] * axes[:, 2:])
+        changes[:, :, :3] *= scale[:, None]
+        changes[:, :, 3:6] = -bundle.points[point, 3, None, None] * by_position
+        changes[:, :, 6] = scale * fit.local[:, :2]
+        changes[:, :, 7] = root[:, None] * fit.residuals
+        by_inverse_depth = -np.einsum("mka,ma->mk", by_position, bundle.centres[camera])
+        by_point = np.concatenate((by_position, by_inverse_depth[:, :, None]), axis=2)[:, :, self.unknown]
+        d = by_point.shape[2]
+
+        products = _grams(changes, changes, self.observations.starts(len(bundle.centres)))
+        cameras, gradients = products[:, :6, :6] + SOLVER.regular * np.eye(6), products[:, :6, 7]
+        if self.priors is not None and fit.deviations is not None:
+            cameras = cameras + np.diag(1 / self.priors.sigmas**2)
+            gradients = gradients + fit.deviations / self.priors.sigmas
+        of_points = np.einsum("mka,mkb->mab", by_point, np.concatenate((by_point, changes[:, :, 6:]), axis=2))
+        point_sums = self.observations.sum_by_point(of_points, len(bundle.points))
+        return _NormalEquations(
+            observations=self.observations,
+            unknown=self.unknown,
+            cameras=cameras,
+            points=point_sums[:, :, :d],
+            between=np.einsum("mka,mkb->mab", by_point, changes[:, :, :6]),
+            focal=float(products[:, 6, 6].sum()) + 1 / self.focal_sigma**2,
+            focal_cameras=products[:, :6, 6],
+            focal_points=point_sums[:, :, d],
+            camera_gradient=gradients,
+            point_gradient=point_sums[:, :, d + 1],
+            focal_gradient=float(products[:, 6, 7].sum()) + bundle.log_focal / self.focal_sigma**2,
+        )
 
 
-class _System(NamedTuple):
-    """Normal equations of frames (6 each), points (3 each) and focal length, and their gradients."""
+@dataclass(frozen=True, eq=False)
+class _NormalEquations:
+    """Normal equations of cameras (6 unknowns each), points (d each) and focal length."""
 
-    frames: FloatArray  # (n, 6, 6)
-    points: FloatArray  # (p, 3, 3)
-    between: FloatArray  # (m, 6, 3) of a frame and a point, sorted by frame
+    observations: Observations
+    unknown: slice
+    cameras: FloatArray  # (n, 6, 6)
+    points: FloatArray  # (p, d, d)
+    between: FloatArray  # (m, d, 6) of a point and a camera
     focal: float
-    focal_frames: FloatArray  # (n, 6)
-    focal_points: FloatArray  # (p, 3)
-    pull_frames: FloatArray
-    pull_points: FloatArray
-    pull_focal: float
-    point: IntArray  # (m,) sorted by frame
-    starts: IntArray  # (n + 1,) first observation of each frame
+    focal_cameras: FloatArray  # (n, 6)
+    focal_points: FloatArray  # (p, d)
+    camera_gradient: FloatArray
+    point_gradient: FloatArray
+    focal_gradient: float
 
-    @classmethod
-    def of(
-        cls,
-        bundle: _Bundle,
-        found: _Residuals,
-        tracks: Tracks,
-        sigmas: FloatArray,
-        focal: float,
-        sigma_focal: float,
-    ) -> _System:
-        order = np.argsort(tracks.frame, kind="stable")
-        n, frame, point = len(bundle.R), tracks.frame[order], tracks.point[order]
-        x, y, z = found.local[order].T
-        z, grown = np.maximum(z, 1e-6), np.exp(bundle.log_focal)
-        pixels = found.pixels[order]
-        root = 1 / np.sqrt(1 + (pixels**2).sum(axis=1))
-        scale = root * focal * grown / z
-        by_place = np.zeros((len(z), 2, 3))
-        by_place[:, 0, 0] = by_place[:, 1, 1] = scale
-        by_place[:, 0, 2], by_place[:, 1, 2] = -scale * x / z, -scale * y / z
-        by_point = by_place @ np.swapaxes(bundle.R[frame], 1, 2)
-        by_frame = np.concatenate((by_place @ cross_matrices(np.stack((x, y, z), axis=1)), -by_point), axis=2)
-        by_focal, weighted = np.stack((scale * x, scale * y), axis=1), pixels * root[:, None]
-        starts = np.searchsorted(frame, np.arange(n + 1))
-        p, turned = len(bundle.points), np.swapaxes(by_point, 1, 2)
-        frames = _summed(np.swapaxes(by_frame, 1, 2) @ by_frame, frame, n) + np.diag(1 / sigmas**2)
-        pull_frames = _summed(np.einsum("mka,mk->ma", by_frame, weighted), frame, n) + found.priors / sigmas
-        return cls(
-            frames=frames,
-            points=_summed(turned @ by_point, point, p),
-            between=np.swapaxes(by_frame, 1, 2) @ by_point,
-            focal=float((by_focal**2).sum()) + 1 / sigma_focal**2,
-            focal_frames=_summed(np.einsum("mka,mk->ma", by_frame, by_focal), frame, n),
-            focal_points=_summed(np.einsum("mka,mk->ma", by_point, by_focal), point, p),
-            pull_frames=pull_frames,
-            pull_points=_summed(np.einsum("mka,mk->ma", by_point, weighted), point, p),
-            pull_focal=float((by_focal * weighted).sum()) + bundle.log_focal / sigma_focal**2,
-            point=point,
-            starts=starts,
+    def step(self, bundle: Bundle, damping: float) -> Bundle:
+        """The bundle after a damped step."""
+        n, (p, d) = len(self.cameras), self.focal_points.shape
+        inverse = np.linalg.inv(_damped(self.points, damping) + SOLVER.regular * np.eye(d))
+        # the points removed: what is left of cameras and focal length
+        eliminated = inverse[self.observations.point] @ self.between
+        through, back = self._matrix(eliminated), self._matrix(self.between).T
+        focal_eliminated = np.einsum("pab,pb->pa", inverse, self.focal_points)
+        reduced = _Reduced(
+            cameras=_damped(self.cameras, damping),
+            through=through,
+            back=back,
+            border=self.focal_cameras.ravel() - through @ self.focal_points.ravel(),
+            corner=self.focal * (1 + damping) - float((focal_eliminated * self.focal_points).sum()),
         )
-
-    def step(self, bundle: _Bundle, damping: float) -> _Bundle:
-        """The bundle after a damped step.
-
-        The Schur complement removes the points; conjugate gradients solve for the rest, with the frames' own blocks as
-        the preconditioner (Agarwal et al. 2010). Its matrix is never formed, which would take most of the time.
-        """
-        n, p = len(self.frames), len(self.points)
-        diagonal = np.einsum("mii->mi", self.points)[:, None] * np.eye(3)
-        inverse = np.linalg.inv(self.points + damping * diagonal + 1e-9 * np.eye(3))
-        shape, through_points = (6 * n, 3 * p), self.between @ inverse[self.point]
-        through = sparse.bsr_array((through_points, self.point, self.starts), shape=shape).tocsr()
-        back = sparse.bsr_array((self.between, self.point, self.starts), shape=shape).T.tocsr()
-        damped = self.frames + damping * np.einsum("mii->mi", self.frames)[:, None] * np.eye(6)
-        led = np.einsum("pab,pb->pa", inverse, self.focal_points)
-        corner = self.focal * (1 + damping) - (led * self.focal_points).sum()
-        border = self.focal_frames.ravel() - through @ self.focal_points.ravel()
-        pull = np.append(
-            self.pull_frames.ravel() - through @ self.pull_points.ravel(),
-            self.pull_focal - (led * self.pull_points).sum(),
+        gradient = np.append(
+            self.camera_gradient.ravel() - through @ self.point_gradient.ravel(),
+            self.focal_gradient - (focal_eliminated * self.point_gradient).sum(),
         )
-        frame = np.repeat(np.arange(n), np.diff(self.starts))
-        own = np.linalg.inv(damped - _summed(through_points @ np.swapaxes(self.between, 1, 2), frame, n))
-
-        def product(move: FloatArray) -> FloatArray:
-            frames = np.einsum("nab,nb->na", damped, move[:-1].reshape(n, 6)).ravel() - through @ (back @ move[:-1])
-            return np.append(frames + border * move[-1], border @ move[:-1] + corner * move[-1])
-
-        def each_alone(pull: FloatArray) -> FloatArray:
-            return np.append(np.einsum("nab,nb->na", own, pull[:-1].reshape(n, 6)).ravel(), pull[-1] / corner)
-
-        size = (6 * n + 1, 6 * n + 1)
-        move, _ = cg(
-            LinearOperator(size, product, dtype=np.float64),
-            -pull,
-            rtol=ADJUSTMENT.solved,
-            maxiter=ADJUSTMENT.solving,
-            M=LinearOperator(size, each_alone, dtype=np.float64),
-        )
-        left = self.pull_points + self.focal_points * move[-1] + (back @ move[:-1]).reshape(p, 3)
+        if n <= SOLVER.few_cameras:
+            move = reduced.solve(-gradient)
+        else:
+            explained = _grams(eliminated, self.between, self.observations.starts(n))
+            move = reduced.iterate(-gradient, np.asarray(np.linalg.inv(reduced.cameras - explained)))
+        point_gradient = self.point_gradient + self.focal_points * move[-1] + (back @ move[:-1]).reshape(p, d)
         turn, shift = np.split(move[:-1].reshape(n, 6), 2, axis=1)
-        return _Bundle(
-            bundle.R @ Rotation.from_rotvec(turn).as_matrix(),
+        points = bundle.points.copy()
+        points[:, self.unknown] -= np.einsum("pab,pb->pa", inverse, point_gradient)
+        return Bundle(
+            bundle.R_world_cam @ Rotation.from_rotvec(turn).as_matrix(),
             bundle.centres + shift,
-            bundle.points - np.einsum("pab,pb->pa", inverse, left),
+            points,
             bundle.log_focal + float(move[-1]),
         )
 
+    def _matrix(self, blocks: FloatArray) -> _Matrix:
+        """Blocks (m, d, 6) of points and cameras as a matrix (6 n, d p); dense if there are few cameras."""
+        (camera, point, _), n, (p, d) = self.observations, len(self.cameras), self.focal_points.shape
+        blocks = np.swapaxes(blocks, 1, 2)
+        if n > SOLVER.few_cameras:
+            return sparse.bsr_array((blocks, point, self.observations.starts(n)), shape=(6 * n, d * p)).tocsr()
+        dense = np.zeros((n, 6, p, d))
+        dense[camera, :, point] = blocks
+        return dense.reshape(6 * n, d * p)
 
-def _summed(blocks: FloatArray, onto: IntArray, count: int) -> FloatArray:
-    """Sums (count, ...) of the blocks (m, ...) with each number in `onto` (m,)."""
-    rows = sparse.csr_array((np.ones(len(onto)), (onto, np.arange(len(onto)))), shape=(count, len(onto)))
-    return np.asarray(rows @ blocks.reshape(len(blocks), -1)).reshape(count, *blocks.shape[1:])
+
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """Equations of cameras and focal length, ``cameras - through back`` with a border for the focal length."""
+
+    cameras: FloatArray  # (n, 6, 6)
+    through: _Matrix  # (6 n, d p)
+    back: _Matrix  # (d p, 6 n)
+    border: FloatArray  # (6 n,)
+    corner: float
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """The solution (6 n + 1,) by elimination."""
+        n = len(self.cameras)
+        matrix = np.zeros((6 * n + 1, 6 * n + 1))
+        matrix[:-1, :-1] = -(self.through @ self.back)
+        for k, block in enumerate(self.cameras):
+            matrix[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += block
+        matrix[:-1, -1] = matrix[-1, :-1] = self.border
+        matrix[-1, -1] = self.corner
+        return np.asarray(np.linalg.solve(matrix, right))
+
+    def iterate(self, right: FloatArray, inverses: FloatArray) -> FloatArray:
+        """The solution by conjugate gradients, with the inverses (n, 6, 6) of the cameras' blocks as preconditioner."""
+        n = len(self.cameras)
+
+        def product(move: FloatArray) -> FloatArray:
+            of_cameras = np.einsum("nab,nb->na", self.cameras, move[:-1].reshape(n, 6)).ravel()
+            of_cameras += self.border * move[-1] - self.through @ (self.back @ move[:-1])
+            return np.append(of_cameras, self.border @ move[:-1] + self.corner * move[-1])
+
+        def precondition(move: FloatArray) -> FloatArray:
+            of_cameras = np.einsum("nab,nb->na", inverses, move[:-1].reshape(n, 6)).ravel()
+            return np.append(of_cameras, move[-1] / self.corner)
+
+        operator, preconditioner = (
+            LinearOperator((len(right), len(right)), work, dtype=np.float64) for work in (product, precondition)
+        )
+        move, _ = cg(operator, right, rtol=SOLVER.cg_tolerance, maxiter=SOLVER.cg_iterations, M=preconditioner)
+        return np.asarray(move)
+
+
+def _damped(blocks: FloatArray, damping: float) -> FloatArray:
+    """Blocks (n, k, k) with a larger diagonal."""
+    k = blocks.shape[1]
+    return np.asarray(blocks + damping * np.einsum("nkk->nk", blocks)[:, None] * np.eye(k))
+
+
+def _grams(left: FloatArray, right: FloatArray, starts: IntArray) -> FloatArray:
+    """Sums of ``left^T right`` (n, a, b) over the rows (k, a) and (k, b) of each camera's observations."""
+    grams = np.zeros((len(starts) - 1, left.shape[2], right.shape[2]))
+    for gram, start, end in zip(grams, starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+        gram[:] = left[start:end].reshape(-1, left.shape[2]).T @ right[start:end].reshape(-1, right.shape[2])
+    return grams

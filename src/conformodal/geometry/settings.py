@@ -31,17 +31,28 @@ class _CameraFitSettings:
 
 
 @dataclass(frozen=True)
-class _AdjustmentSettings:
-    """Bundle adjustment of the map."""
+class _SolverSettings:
+    """Levenberg-Marquardt of bundle adjustment."""
+
+    damping: float = 1e-4  # at first
+    least_damping: float = 1e-9
+    dampings: int = 8  # tried in one iteration
+    few_cameras: int = 16  # up to which the equations of cameras are solved directly
+    # residual, as a share of the gradient, at which conjugate gradients end. With 1e-2 to 1e-4 maps localise alike
+    cg_tolerance: float = 1e-2
+    cg_iterations: int = 300
+    nearest: float = 1e-6  # least depth in front of a camera
+    regular: float = 1e-9  # added to diagonals
+    fixed: float = 1e-9  # sigma of what does not change
+
+
+@dataclass(frozen=True)
+class _MapPosesSettings:
+    """Adjustment of a map's poses."""
 
     rounds: int = 2  # of triangulation and adjustment; sigmas and mount are learnt after each
     iterations: int = 8
-    dampings: int = 8  # tried in one iteration
     enough: float = 3e-3  # share of the cost below which an iteration ends it
-    # residual, as a share of the gradient, at which a step is solved, and steps of the solver. With 1e-2 to 1e-4 maps
-    # localise alike
-    solved: float = 1e-2
-    solving: int = 300
     tracks: int = 80  # of each frame, the longest first
     least_views: int = 3
     least_per_frame: float = 20.0  # observations, on average: with fewer, poses stay as given
@@ -52,16 +63,5 @@ class _AdjustmentSettings:
     sigma_focal: float = 0.02  # of the logarithm of the focal length
 
 
-@dataclass(frozen=True)
-class _BundleSettings:
-    """Of bundle adjustment (Triggs et al. 2000)."""
-
-    iterations: int = 20  # at most
-    dampings: int = 6  # tried per iteration, at most
-    enough: float = 1e-5  # relative decrease of the cost that ends the search
-    cauchy: float = 2.0  # standard deviations beyond which residuals are down-weighted
-    nearest: float = 1e-3  # least depth in front of a camera, as a share of the anchor's
-
-
-CAMERA_FIT, ADJUSTMENT, BUNDLE = _CameraFitSettings(), _AdjustmentSettings(), _BundleSettings()
-TRIANGULATION = _TriangulationSettings()
+TRIANGULATION, CAMERA_FIT = _TriangulationSettings(), _CameraFitSettings()
+SOLVER, MAP_POSES = _SolverSettings(), _MapPosesSettings()

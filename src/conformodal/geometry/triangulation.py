@@ -15,28 +15,38 @@ class Rays(NamedTuple):
     """Rays of n corners from k cameras, corner by corner; the first ray of each is from the corner's own frame."""
 
     corner: IntArray  # (m,) 0 to n - 1, increasing; each is there
-    seen: IntArray  # (m,) number of the corner that a ray is of, among those of all frames
+    number: IntArray  # (m,) of the corner that a ray goes through, among those of all frames
     camera: IntArray  # (m,)
     plane: FloatArray  # (m, 2) on the plane at depth 1 of the camera
     R_world_cam: FloatArray  # (k, 3, 3)
     centres: FloatArray  # (k, 3)
 
+    @property
+    def first(self) -> IntArray:
+        """Index (n,) of the first ray of each corner."""
+        return np.flatnonzero(np.diff(self.corner, prepend=-1))
 
-def triangulate(rays: Rays, tolerance: float) -> tuple[FloatArray, BoolArray]:
-    """Points (n, 3) nearest to their rays, and which of them (n,) are reliable.
 
-    Robust least squares over the angles between points and rays. A point is reliable if its own frame and another one
-    agree on it within the tolerance (radians), it lies in front of both, and their rays differ by 2.5 degrees. Corners
-    that no other camera sees near the epipolar line have no point: NaN.
+class Points(NamedTuple):
+    """Points (n, 3) of corners, NaN where there is none, and which of them are reliable (n,)."""
+
+    xyz: FloatArray
+    reliable: BoolArray
+
+
+def triangulate(rays: Rays, tolerance: float) -> Points:
+    """Points nearest to their rays, by robust least squares over the angles between points and rays.
+
+    A point is reliable if its own frame and another one agree on it within the tolerance (radians), it lies in front of
+    both, and their rays differ by 2.5 degrees. Corners that no other camera sees near the epipolar line have no point.
     """
     R, centres = rays.R_world_cam[rays.camera], rays.centres[rays.camera]
-    local = np.column_stack((rays.plane, np.ones(len(rays.plane))))
-    own = np.flatnonzero(np.diff(rays.corner, prepend=-1))
-    found, reliable = np.full((len(own), 3), np.nan), np.zeros(len(own), dtype=np.bool_)
-    kept = _off_epipolar(local, R, centres, own[rays.corner]) < tolerance
-    kept &= (np.bincount(rays.corner[kept], minlength=len(own)) > 1)[rays.corner]
+    local, first = np.column_stack((rays.plane, np.ones(len(rays.plane)))), rays.first
+    xyz, reliable = np.full((len(first), 3), np.nan), np.zeros(len(first), dtype=np.bool_)
+    kept = _off_epipolar(local, R, centres, first[rays.corner]) < tolerance
+    kept &= (np.bincount(rays.corner[kept], minlength=len(first)) > 1)[rays.corner]
     if not kept.any():
-        return found, reliable
+        return Points(xyz, reliable)
     corners, starts, corner = np.unique(rays.corner[kept], return_index=True, return_inverse=True)
     centres = centres[kept]
     world = np.einsum("mab,mb->ma", R[kept], local[kept])
@@ -55,14 +65,14 @@ def triangulate(rays: Rays, tolerance: float) -> tuple[FloatArray, BoolArray]:
         weights /= np.maximum(np.maximum.reduceat(weights, starts), 1e-12)[corner]
     agree = (off < tolerance) & (along > 0)
     cosine = np.where(agree, (world[starts][corner] * world).sum(axis=1), 1.0)
-    found[corners] = points
+    xyz[corners] = points
     reliable[corners] = agree[starts] & (np.minimum.reduceat(cosine, starts) < np.cos(TRIANGULATION.min_parallax_rad))
-    return found, reliable
+    return Points(xyz, reliable)
 
 
-def _off_epipolar(local: FloatArray, R_world_cam: FloatArray, centres: FloatArray, own: IntArray) -> FloatArray:
-    """Distances (m,) of rays from the epipolar line of the `own` (m,) ray of their corner, on the plane at depth 1."""
-    baseline = np.einsum("mba,mb->ma", R_world_cam, centres[own] - centres)
-    turned = np.einsum("mba,mb->ma", R_world_cam, np.einsum("mab,mb->ma", R_world_cam[own], local[own]))
+def _off_epipolar(local: FloatArray, R_world_cam: FloatArray, centres: FloatArray, first: IntArray) -> FloatArray:
+    """Distances (m,) of rays from the epipolar line of their corner's `first` (m,) ray, on the plane at depth 1."""
+    baseline = np.einsum("mba,mb->ma", R_world_cam, centres[first] - centres)
+    turned = np.einsum("mba,mb->ma", R_world_cam, np.einsum("mab,mb->ma", R_world_cam[first], local[first]))
     line = np.cross(baseline, turned)
     return np.asarray(np.abs((line * local).sum(axis=1)) / np.maximum(np.linalg.norm(line[:, :2], axis=1), 1e-12))

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray
-from conformodal.core.robust import MEDIAN_OF_NORM3, TAIL_OF_NORM3
+from conformodal.geometry.robust import MEDIAN_OF_NORM3, TAIL_OF_NORM3
 
 from .measurement import PoseMeasurement
 from .settings import ERROR_MODEL

@@ -10,8 +10,8 @@ from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.core.robust import cauchy
 from conformodal.geometry import RelativeMotion, Submap
+from conformodal.geometry.robust import cauchy
 
 from .prior import MotionPrior, rotation_sigma
 from .settings import SMOOTHER

@@ -14,8 +14,8 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from conformodal.core.arrays import FloatArray
-from conformodal.core.robust import cauchy
 from conformodal.geometry import Submap
+from conformodal.geometry.robust import cauchy
 
 from .errors import ReasoningError
 from .observations import Observations, PosePath

@@ -84,6 +84,9 @@ class _SubmapSettings:
     worst_sigma: float = 0.5  # predicted standard deviation over the longest distance, above which a submap is dropped
     sigma_px: float = 0.5  # of a corner
     least_residual_px: float = 0.1
+    cauchy: float = 2.8  # sigmas beyond which residuals are down-weighted
+    iterations: int = 20  # of bundle adjustment, at most
+    enough: float = 1e-5  # relative decrease of the cost that ends it
     agree_px: float = 2.0  # a corner agrees if it is reprojected within this
     min_agreeing: float = 0.6  # share of the corners
     ransac: dict[str, Any] = field(

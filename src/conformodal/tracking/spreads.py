@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.core.robust import MAD_OF_NORMAL, MEDIAN_OF_NORM2
 from conformodal.geometry import PinholeCamera, cross_matrices
+from conformodal.geometry.robust import MAD_OF_NORMAL, MEDIAN_OF_NORM2
 
 from .settings import MOTION_ERRORS
 

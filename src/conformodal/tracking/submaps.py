@@ -15,7 +15,9 @@ import poselib
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.geometry import MotionStatus, PinholeCamera, Submap
-from conformodal.geometry.bundle import Bundle, Views, adjust_bundle, residual_spread
+from conformodal.geometry.adjustment import INVERSE_DEPTHS, Adjustment, Bundle, Observations
+from conformodal.geometry.robust import MEDIAN_OF_NORM2
+from conformodal.geometry.triangulation import Rays, triangulate
 from conformodal.geometry.undistortion import poselib_camera, undistort
 
 from .relative_pose import estimate_relative_motion
@@ -29,18 +31,18 @@ def build_submaps(corners: Sequence[Corners], camera: PinholeCamera) -> list[Sub
     Frames are numbered by their index in `corners`. There is no submap where the camera stands still, only turns or
     sees nothing.
     """
-    found: list[Submap] = []
+    submaps: list[Submap] = []
     anchor, n = 0, len(corners)
     while anchor < n - 2:
         last = _reach(corners, anchor)
         submap = _longest(corners, anchor, last, camera)
         if submap is not None:
-            found.append(submap)
+            submaps.append(submap)
             last = int(submap.frames[-1])
         if last == n - 1:
             break
         anchor = max(anchor + 1, (anchor + last) // 2)
-    return found
+    return submaps
 
 
 def _longest(corners: Sequence[Corners], anchor: int, last: int, camera: PinholeCamera) -> Submap | None:
@@ -67,90 +69,105 @@ def _reach(corners: Sequence[Corners], anchor: int) -> int:
 
 
 def _submap(corners: Sequence[Corners], frames: IntArray, camera: PinholeCamera) -> Submap | None:
-    common = _matched(corners)
-    to_last = common.seen[-1]
-    pixels = undistort(common.anchor, camera), np.stack([undistort(p, camera) for p in common.others])
-    motion = estimate_relative_motion(common.anchor[to_last], common.others[-1][to_last], camera)
+    views = _match_views(corners, camera)
+    in_last = views.visible[-1]
+    motion = estimate_relative_motion(views.raw_anchor[in_last], views.raw_last[in_last], camera)
     if motion.status is not MotionStatus.OK or motion.R_prev_next is None or motion.direction_prev is None:
         return None
-    views = Views(camera.on_plane(pixels[0]), camera.on_plane(pixels[1]), common.seen)
-    start = _first_guess(pixels, views, motion.R_prev_next, motion.direction_prev, camera)
+    start = _first_guess(views, motion.R_prev_next, motion.direction_prev, camera)
     if start is None:
         return None
     pixel = 2.0 / (camera.fx + camera.fy)
-    bundle, residuals = adjust_bundle(start, views, SUBMAPS.sigma_px * pixel)
-    agreeing = np.mean(residuals[views.seen] < SUBMAPS.agree_px * pixel)
-    depths = bundle.inverse_depths
-    ahead = depths > 0
-    if agreeing < SUBMAPS.min_agreeing or ahead.mean() < SUBMAPS.min_agreeing:
+    frame, corner = np.nonzero(views.visible)
+    fit = Adjustment(
+        Observations(frame, corner, camera.on_plane(views.others[frame, corner])),
+        sigma=SUBMAPS.sigma_px * pixel,
+        cauchy=SUBMAPS.cauchy,
+        unknown=INVERSE_DEPTHS,
+        iterations=SUBMAPS.iterations,
+        enough=SUBMAPS.enough,
+    ).solve(start)
+    errors = np.linalg.norm(fit.residuals, axis=1) * SUBMAPS.sigma_px * pixel
+    length = max(float(np.linalg.norm(fit.bundle.centres[-1])), 1e-12)
+    inverse_depths = fit.bundle.points[:, 3] * length
+    ahead = inverse_depths > 0
+    if min(np.mean(errors < SUBMAPS.agree_px * pixel), np.mean(ahead)) < SUBMAPS.min_agreeing:
         return None
-    error, depth = (
-        max(residual_spread(residuals), SUBMAPS.least_residual_px * pixel),
-        1 / float(np.median(depths[ahead])),
-    )
-    positions = np.concatenate((np.zeros((1, 3)), bundle.positions))
+    error = max(float(np.median(errors)) / MEDIAN_OF_NORM2, SUBMAPS.least_residual_px * pixel)
+    depth = 1 / float(np.median(inverse_depths[ahead]))
+    positions = np.concatenate((np.zeros((1, 3)), fit.bundle.centres / length))
     sigma = SUBMAPS.position_factor * error * depth
     if sigma > SUBMAPS.worst_sigma * np.linalg.norm(positions, axis=1).max():
         return None
-    turned = np.concatenate((np.eye(3)[None], bundle.R_anchor_frame))
-    return Submap(frames, turned, positions, depth, sigma, SUBMAPS.rotation_factor * error)
+    rotations = np.concatenate((np.eye(3)[None], fit.bundle.R_world_cam))
+    return Submap(frames, rotations, positions, depth, sigma, SUBMAPS.rotation_factor * error)
 
 
-class _Matched(NamedTuple):
-    """The anchor's corners (n, 2), where the other frames see them (k, n, 2), and whether they do (k, n); pixels."""
+class _Views(NamedTuple):
+    """Pixels without distortion of the anchor's corners (n, 2) and of the same in the k other frames (k, n, 2).
+
+    What is not `visible` (k, n) has no meaning. `raw_anchor` and `raw_last` are pixels as they are in the images.
+    """
 
     anchor: FloatArray
     others: FloatArray
-    seen: BoolArray
+    visible: BoolArray
+    raw_anchor: FloatArray
+    raw_last: FloatArray
 
 
-def _matched(corners: Sequence[Corners]) -> _Matched:
+def _match_views(corners: Sequence[Corners], camera: PinholeCamera) -> _Views:
     first, *others = corners
-    places = np.zeros((len(others), len(first.ids), 2))
-    seen = np.zeros(places.shape[:2], dtype=bool)
+    pixels = np.zeros((len(others), len(first.ids), 2))
+    visible = np.zeros(pixels.shape[:2], dtype=bool)
     for k, other in enumerate(others):
         _, here, there = np.intersect1d(first.ids, other.ids, assume_unique=True, return_indices=True)
-        places[k, here], seen[k, here] = other.pixels[there], True
+        pixels[k, here], visible[k, here] = other.pixels[there], True
     # the longest tracks are the most informative
-    best = np.sort(np.argsort(-seen.sum(axis=0), kind="stable")[: SUBMAPS.max_corners])
-    best = best[seen[:, best].any(axis=0)]
-    return _Matched(first.pixels[best].astype(np.float64), places[:, best], seen[:, best])
+    best = np.sort(np.argsort(-visible.sum(axis=0), kind="stable")[: SUBMAPS.max_corners])
+    best = best[visible[:, best].any(axis=0)]
+    anchor, pixels = first.pixels[best].astype(np.float64), pixels[:, best]
+    undistorted = undistort(pixels.reshape(-1, 2), camera).reshape(pixels.shape)
+    return _Views(undistort(anchor, camera), undistorted, visible[:, best], anchor, pixels[-1])
 
 
 def _first_guess(
-    pixels: tuple[FloatArray, FloatArray],
-    views: Views,
-    R_anchor_last: FloatArray,
-    direction: FloatArray,
-    camera: PinholeCamera,
+    views: _Views, R_anchor_last: FloatArray, direction: FloatArray, camera: PinholeCamera
 ) -> Bundle | None:
     """Depths from the first and the last camera, then the cameras between from the depths."""
-    to_last = views.seen[-1]
-    inverse = _inverse_depths(views, R_anchor_last, direction)
-    sound = to_last & (inverse > SUBMAPS.least_residual_px / camera.fx)
+    rays = np.column_stack((camera.on_plane(views.anchor), np.ones(len(views.anchor))))
+    inverse = _inverse_depths(views, R_anchor_last, direction, camera)
+    sound = inverse > SUBMAPS.least_residual_px / camera.fx
     if sound.sum() < SUBMAPS.min_corners / 2:
         return None
     model = poselib_camera(camera)
-    rays = np.column_stack((views.anchor, np.ones(len(views.anchor))))
-    turned, centres = [], []
-    for here, seen in zip(pixels[1][:-1], views.seen[:-1], strict=True):
-        use = sound & seen
+    rotations, centres = [], []
+    for pixels, visible in zip(views.others[:-1], views.visible[:-1], strict=True):
+        use = sound & visible
         if use.sum() < SUBMAPS.min_corners / 2:
             return None
         points = rays[use] / inverse[use, None]
-        pose, _ = poselib.estimate_absolute_pose(here[use], points, model, SUBMAPS.ransac, SUBMAPS.refinement)
-        R_anchor_frame = np.asarray(pose.R).T
-        turned.append(R_anchor_frame)
-        centres.append(-R_anchor_frame @ np.asarray(pose.t))
+        pose, _ = poselib.estimate_absolute_pose(pixels[use], points, model, SUBMAPS.ransac, SUBMAPS.refinement)
+        rotations.append(np.asarray(pose.R).T)
+        centres.append(-rotations[-1] @ np.asarray(pose.t))
     inverse = np.where(sound, inverse, np.median(inverse[sound]))
-    bundle = Bundle(np.array([*turned, R_anchor_last]), np.array([*centres, direction]), inverse)
-    return bundle if np.isfinite(bundle.positions).all() else None
+    points = np.column_stack((rays, inverse))
+    bundle = Bundle(np.array([*rotations, R_anchor_last]), np.array([*centres, direction]), points)
+    return bundle if np.isfinite(bundle.centres).all() else None
 
 
-def _inverse_depths(views: Views, R_anchor_last: FloatArray, centre: FloatArray) -> FloatArray:
-    """(n,) linear triangulation: the ray in the last camera is parallel to ``R^T (ray - inverse depth * centre)``."""
-    ones = np.ones((len(views.anchor), 1))
-    there = np.concatenate((views.others[-1], ones), axis=1)
-    a = np.cross(there, np.concatenate((views.anchor, ones), axis=1) @ R_anchor_last)
-    b = np.cross(there, centre @ R_anchor_last)
-    return np.asarray((a * b).sum(axis=1) / np.maximum((b * b).sum(axis=1), 1e-12))
+def _inverse_depths(views: _Views, R_anchor_last: FloatArray, centre: FloatArray, camera: PinholeCamera) -> FloatArray:
+    """(n,) from the anchor and the last camera; NaN for corners that are not seen by both, or not as one point."""
+    corners = np.flatnonzero(views.visible[-1])
+    plane = camera.on_plane(np.stack((views.anchor[corners], views.others[-1, corners]), axis=1))
+    rays = Rays(
+        corner=np.repeat(np.arange(len(corners)), 2),
+        number=np.arange(2 * len(corners)),
+        camera=np.tile([0, 1], len(corners)),
+        plane=plane.reshape(-1, 2),
+        R_world_cam=np.stack((np.eye(3), R_anchor_last)),
+        centres=np.stack((np.zeros(3), centre)),
+    )
+    inverse = np.full(len(views.anchor), np.nan)
+    inverse[corners] = 1 / triangulate(rays, SUBMAPS.agree_px / camera.fx).xyz[:, 2]
+    return inverse

@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 from conformodal.features import local as local_features
 from conformodal.features.local import Matcher, match
 from conformodal.geometry import Trajectory
-from conformodal.geometry.adjustment import choose_tracks
 from conformodal.geometry.camera_fit import Matches, fit_camera
-from conformodal.geometry.settings import ADJUSTMENT, TRIANGULATION
+from conformodal.geometry.map_poses import TriangulatedRays, choose_tracks
+from conformodal.geometry.settings import MAP_POSES, TRIANGULATION
 from conformodal.geometry.shutter import NO_FLOW
 from conformodal.geometry.triangulation import Rays, triangulate
 from conformodal.localizer.settings import GUIDING, MAPPING, PNP
@@ -90,12 +90,12 @@ def test_a_map_is_adjusted_where_the_given_poses_have_errors_of_their_own(
     given[:, :3, 3] += rng.normal(0, 0.03, (len(given), 3))
     given[:, :3, :3] = given[:, :3, :3] @ Rotation.from_rotvec(rng.normal(0, 0.01, (len(given), 3))).as_matrix()
     images, off = world.local_features(), {}
-    for rounds in (0, ADJUSTMENT.rounds):
-        monkeypatch.setattr(mapping, "ADJUSTMENT", replace(ADJUSTMENT, rounds=rounds))
+    for rounds in (0, MAP_POSES.rounds):
+        monkeypatch.setattr(mapping, "MAP_POSES", replace(MAP_POSES, rounds=rounds))
         landmarks = build_map(images, given, stated_camera, depth_m)
         found = [landmarks.localize(world.see(world.poses_se3[i], seed=700 + i))[0] for i in range(2, 58, 5)]
         off[rounds] = [errors(one, world.poses_se3[i]) for one, i in zip(found, range(2, 58, 5), strict=True)]
-    assert (np.median(off[ADJUSTMENT.rounds], axis=0) < (0.8, 0.95) * np.median(off[0], axis=0)).all()
+    assert (np.median(off[MAP_POSES.rounds], axis=0) < (0.8, 0.95) * np.median(off[0], axis=0)).all()
     true = (world.poses_se3 - given)[:, :3, 3]
     assert np.corrcoef(landmarks.corrections[:, :3].ravel(), true.ravel())[0, 1] > 0.6
 
@@ -117,10 +117,10 @@ def test_guided_matching_finds_more_corners_and_makes_poses_more_precise(world_o
 def test_tracks_share_no_corner_and_see_each_point_from_several_frames():
     points = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 6], (50, 3))
     rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0], [-0.5, 0.2, 0], [0, 0.5, 0.1]]), off=0.05)
-    chosen = choose_tracks([(rays, *triangulate(rays, 0.005))], 4, 0.005)
+    chosen = choose_tracks([TriangulatedRays(rays, triangulate(rays, 0.005))], 4, 0.005)
     np.testing.assert_array_equal(chosen.frame.reshape(-1, 3), [[0, 1, 2]] * len(chosen.points))  # the last is off
-    twice = rays._replace(seen=rays.seen % 8)  # corners of 50 points are said to be those of two
-    assert len(choose_tracks([(twice, *triangulate(rays, 0.005))], 4, 0.005).points) == 2
+    twice = rays._replace(number=rays.number % 8)  # corners of 50 points are said to be those of two
+    assert len(choose_tracks([TriangulatedRays(twice, triangulate(rays, 0.005))], 4, 0.005).points) == 2
 
 
 def test_a_clock_that_is_far_off_leaves_the_rest_of_the_fit(world_of, stated_camera, depth_m):
@@ -209,7 +209,7 @@ def test_a_corner_that_no_other_camera_sees_is_no_point():
     rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0]]))
     seen = np.array([True, True, True, False, True, True])
     found, sound = triangulate(
-        rays._replace(**{name: getattr(rays, name)[seen] for name in ("corner", "seen", "camera", "plane")}), 0.005
+        rays._replace(**{name: getattr(rays, name)[seen] for name in ("corner", "number", "camera", "plane")}), 0.005
     )
     assert sound.tolist() == [True, False, True]
     np.testing.assert_allclose(found[[0, 2]], points[[0, 2]], atol=1e-6)

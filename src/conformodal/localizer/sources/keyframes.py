@@ -12,9 +12,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array
-from conformodal.core.robust import MEDIAN_OF_NORM2
 from conformodal.features.local import LocalFeatures, match
 from conformodal.geometry import PinholeCamera, cross_matrices, rigid_motions
+from conformodal.geometry.robust import MEDIAN_OF_NORM2
 from conformodal.geometry.undistortion import poselib_camera
 from conformodal.localizer.measurement import PoseMeasurement
 from conformodal.localizer.settings import GUIDING, PNP, RETRIEVAL

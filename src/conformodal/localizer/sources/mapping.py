@@ -7,14 +7,14 @@ from functools import partial
 
 import numpy as np
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.parallel import in_threads
 from conformodal.core.progress import Progress
 from conformodal.features.local import LocalFeatures, Matcher
 from conformodal.geometry import PinholeCamera
-from conformodal.geometry.adjustment import Adjusted, adjust, choose_tracks, given_frame_errors
 from conformodal.geometry.camera_fit import Matches, fit_camera
-from conformodal.geometry.settings import ADJUSTMENT
+from conformodal.geometry.map_poses import MapPoses, TriangulatedRays, choose_tracks
+from conformodal.geometry.settings import MAP_POSES
 from conformodal.geometry.triangulation import Rays, triangulate
 from conformodal.localizer.settings import MAPPING
 
@@ -38,33 +38,35 @@ def build_map(
     before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
     chunks = [range(a, min(a + _FRAMES_AT_A_TIME, len(features))) for a in range(0, len(features), _FRAMES_AT_A_TIME)]
 
-    def triangulated(few: range, now: Adjusted) -> tuple[Rays, FloatArray, BoolArray]:
-        camera = now.mounted.camera
-        rays = _rays(few, pairs, features, now.poses_cam, camera, before)
-        return rays, *triangulate(rays, 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
+    def triangulated(few: range, current: MapPoses) -> TriangulatedRays:
+        camera = current.mounted.camera
+        rays = _rays(few, pairs, features, current.poses_cam, camera, before)
+        points = triangulate(rays, 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
+        return TriangulatedRays(rays, points)
 
-    sigmas = np.repeat([ADJUSTMENT.sigma_rad, ADJUSTMENT.sigma_depths * depth_m], 3)
-    now = Adjusted(mounted, poses_se3 @ mounted.T_pose_cam, sigmas)
-    for _ in range(ADJUSTMENT.rounds):
-        found = in_threads(partial(triangulated, now=now), chunks)
-        camera = now.mounted.camera
-        tracks = choose_tracks(found, len(features), 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
-        if len(tracks.frame) < ADJUSTMENT.least_per_frame * len(features):
+    sigmas = np.repeat([MAP_POSES.sigma_rad, MAP_POSES.sigma_depths * depth_m], 3)
+    current = MapPoses(mounted, poses_se3 @ mounted.T_pose_cam, sigmas)
+    for _ in range(MAP_POSES.rounds):
+        camera = current.mounted.camera
+        parts = in_threads(partial(triangulated, current=current), chunks)
+        tracks = choose_tracks(parts, len(features), 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
+        if len(tracks.frame) < MAP_POSES.least_per_frame * len(features):
             break
-        now = adjust(now, poses_se3, tracks)
-    found = in_threads(partial(triangulated, now=now), chunks)
-    points, sound = np.concatenate([its for _, its, _ in found]), np.concatenate([its for _, _, its in found])
+        current = current.adjusted(poses_se3, tracks)
+    parts = in_threads(partial(triangulated, current=current), chunks)
+    points = np.concatenate([part.points.xyz for part in parts])
+    reliable = np.concatenate([part.points.reliable for part in parts])
     return LandmarkMap(
-        camera=now.mounted.camera,
-        T_pose_cam=now.mounted.T_pose_cam,
+        camera=current.mounted.camera,
+        T_pose_cam=current.mounted.T_pose_cam,
         shutter=mounted.shutter,
         poses_se3=poses_se3,
         global_descriptors=np.array([d.global_descriptor for d in features], dtype=np.float16),
-        starts=np.concatenate(([0], np.cumsum(sound)))[before],
-        points_xyz=points[sound].astype(np.float32),
-        descriptors=np.concatenate([d.descriptors for d in features])[sound],
+        starts=np.concatenate(([0], np.cumsum(reliable)))[before],
+        points_xyz=points[reliable].astype(np.float32),
+        descriptors=np.concatenate([d.descriptors for d in features])[reliable],
         depth_m=depth_m,
-        corrections=given_frame_errors(now, poses_se3),
+        corrections=current.corrections(poses_se3),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .arrays import FloatArray
+from conformodal.core.arrays import FloatArray
 
 # Of standard normal variables: the median absolute value; the median length of a vector in two and in three
 # dimensions; and the 95th percentile of the latter.
