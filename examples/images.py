@@ -7,16 +7,15 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from conformodal import VisualOdometry, read_recording, train_model
 from conformodal.corridor.writer import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
-from conformodal.io import read_recording
 from conformodal.pipeline.config import ModelConfig
-from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.evaluate import coverage_table, error_table
 from conformodal.pipeline.results.statistics import RegionStatistics
 from conformodal.pipeline.store import save_model
-from conformodal.pipeline.train import prepare_training_data, train_model
+from conformodal.pipeline.train import prepare_training_data
 from conformodal.report.figures import plan_figure
 
 QUICK = ModelConfig(sources=("head",), training=TrainingConfig(epochs=20))  # for the corridor

@@ -8,20 +8,17 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from conformodal import PoseModel, VisualOdometry, open_stream, read_recording, train_model
 from conformodal.corridor.writer import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
-from conformodal.io import read_sevenscenes
-from conformodal.io.streams.opening import open_stream
 from conformodal.pipeline.config import ModelConfig
-from conformodal.pipeline.estimator import VisualOdometry
-from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.store import load_model
-from conformodal.pipeline.train import prepare_training_data, train_model
+from conformodal.pipeline.train import prepare_training_data
 
 
 def small_model(folder: Path) -> PoseModel:
-    sequence = read_sevenscenes(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
+    sequence = read_recording(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
     config = ModelConfig(sources=("head",), training=TrainingConfig(epochs=20))
     return train_model(prepare_training_data(sequence, config, FeatureCache(None)), config)
 

@@ -1,7 +1,8 @@
 """Regression whose honest answer may be "here or there, not in between", and camera poses found with it.
 
-The conformal core (``QuantileBins``, ``SplitConformal``, ``Regions``, ...) works on arrays of probabilities. Every
-name is imported when it is first used.
+Tables: :class:`ConformalRegressor`, or :class:`QuantileBins` and :class:`SplitConformal` on probabilities of your own.
+Cameras: :func:`read_recording`, :func:`train_model`, :class:`PoseModel`, :func:`open_stream`, :class:`VisualOdometry`.
+Every name is imported when it is first used.
 """
 
 from __future__ import annotations
@@ -13,66 +14,65 @@ from .core.extras import lazy_getattr
 
 if TYPE_CHECKING:
     from .conformal import (
-        ConformalError,
         ConformalRegressor,
-        ConformodalError,
-        CoverageCheck,
-        Diagnosis,
         NotCalibratedError,
         QuantileBins,
         Regions,
         SplitConformal,
-        check_coverage,
         conformal_quantile,
         conformal_rank,
         coverage_band,
-        diagnose,
     )
+    from .core.errors import ConformodalError
     from .geometry import Trajectory
-    from .io import read_sevenscenes
+    from .io import read_recording
+    from .io.streams import open_stream
     from .pipeline.estimator import VisualOdometry
+    from .pipeline.model import PoseModel
+    from .pipeline.train import train_model
     from .report.diagnosis import draw_diagnosis
     from .report.tables import draw_coverage, draw_regions
 
-_LATE = {
-    "Trajectory": ".geometry",
-    "VisualOdometry": ".pipeline.estimator",
-    "draw_coverage": ".report.tables",
-    "draw_diagnosis": ".report.diagnosis",
-    "draw_regions": ".report.tables",
-    "read_sevenscenes": ".io",
-}
-
 __all__ = [
-    "ConformalError",
     "ConformalRegressor",
     "ConformodalError",
-    "CoverageCheck",
-    "Diagnosis",
     "NotCalibratedError",
+    "PoseModel",
     "QuantileBins",
     "Regions",
     "SplitConformal",
     "Trajectory",
     "VisualOdometry",
-    "check_coverage",
     "conformal_quantile",
     "conformal_rank",
     "coverage_band",
-    "diagnose",
     "draw_coverage",
     "draw_diagnosis",
     "draw_regions",
-    "read_sevenscenes",
+    "open_stream",
+    "read_recording",
+    "train_model",
 ]
 
-_find = lazy_getattr(__name__, {name: _LATE.get(name, ".conformal") for name in __all__})
+_MODULES = {
+    "ConformodalError": ".core.errors",
+    "PoseModel": ".pipeline.model",
+    "Trajectory": ".geometry",
+    "VisualOdometry": ".pipeline.estimator",
+    "draw_coverage": ".report.tables",
+    "draw_diagnosis": ".report.diagnosis",
+    "draw_regions": ".report.tables",
+    "open_stream": ".io.streams",
+    "read_recording": ".io",
+    "train_model": ".pipeline.train",
+}
+_import_name = lazy_getattr(__name__, {name: _MODULES.get(name, ".conformal") for name in __all__})
 
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return metadata.version("conformodal")
-    return _find(name)
+    return _import_name(name)
 
 
 def __dir__() -> list[str]:

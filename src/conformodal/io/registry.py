@@ -145,7 +145,7 @@ def read_recording(
     follow_outside: bool = False,
     focal: float | str | None = None,
 ) -> Recording:
-    """Read a data set in a layout, or in the one it is found to be in.
+    """Read a data set in a layout, or in the one it is found to be in, as in ``examples/images.py``.
 
     Parameters
     ----------

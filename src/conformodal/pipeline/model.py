@@ -81,7 +81,7 @@ class Localization:
 
 @dataclass(eq=False)
 class PoseModel:
-    """A trained and calibrated model.
+    """A trained and calibrated model; ``examples/stream.py`` runs one.
 
     Attributes
     ----------

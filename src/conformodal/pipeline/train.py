@@ -93,7 +93,7 @@ def train_model(
 
     Where frames calibrate, the sources learn from the training part. Where stretches do, each stretch of training and
     calibration part is answered by sources that learnt from the others, and the model's own learn from all of them;
-    the scores of both are compared on some frames of the test part.
+    the scores of both are compared on some frames of the test part. ``examples/images.py`` trains on images with poses.
     """
     folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
     sources = data.for_sources(config, progress)

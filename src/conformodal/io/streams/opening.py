@@ -30,6 +30,8 @@ def open_stream(
 ) -> FrameStream:
     """Open a source: a data set's folder, a video file, a ROS recording, or ``camera:0``.
 
+    ``examples/stream.py`` answers its frames.
+
     Parameters
     ----------
     source
