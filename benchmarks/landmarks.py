@@ -28,7 +28,7 @@ from conformodal.features.backbone import global_descriptors
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.settings import LOCAL_FEATURES
 from conformodal.io import Disturbance, Recording, read_recording
-from conformodal.io.joining import near_known
+from conformodal.localizer.overlap import near_known
 from conformodal.localizer.sources import mapping
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.depths import measure_depths

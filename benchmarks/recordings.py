@@ -22,7 +22,7 @@ from scipy.stats import chi2
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.features.extract import FeatureCache
 from conformodal.io import Recording, SplitKind, read_recording
-from conformodal.io.joining import near_known
+from conformodal.localizer.overlap import near_known
 from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.estimates import OdometryRun

@@ -7,8 +7,8 @@ import pytest
 
 from conformodal.geometry import PinholeCamera, PoseError
 from conformodal.io import DatasetError, DatasetWarning, Layout, read_recording
-from conformodal.io.streams.bag import BagStream
 from conformodal.io.streams.frames import SourceError
+from conformodal.io.streams.opening import open_stream
 from tests.helpers import invoke
 from tests.io.streams import test_streams
 from tests.io.test_layouts import SIZE, WRITERS
@@ -175,7 +175,7 @@ def test_bags_with_a_camera_that_is_none_are_refused(tmp_path, monkeypatch, k, m
     monkeypatch.setattr(test_streams, "camera_info", info)
     path = test_streams.write_bag(tmp_path / "a", "ros2")
     with pytest.raises(SourceError, match=match):
-        BagStream(path)
+        open_stream(path)
 
 
 @pytest.mark.parametrize("field", ["fx", "fy", "cx", "cy", "width", "height"])

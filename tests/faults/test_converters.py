@@ -16,7 +16,7 @@ from conformodal.io import DatasetError, Layout, read_recording
 from conformodal.io.convert import WRITABLE, write_layout
 from conformodal.io.staging import staged
 from conformodal.io.streams.frames import Frame
-from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.stored import RecordingStream
 from conformodal.pipeline.identity import identify
 from tests.helpers import contents, fill, invoke, run_ok
 from tests.io.test_layouts import PLACES, WRITERS, N
@@ -161,7 +161,7 @@ def test_what_can_be_known_is_said_before_the_first_file(tmp_path, what):
         write_layout(
             tmp_path / given["out"],
             given["layout"],
-            SequenceStream(sequence),
+            RecordingStream(sequence),
             sequence.camera,
             given["poses"],
             progress.append,
@@ -186,13 +186,13 @@ SCRIPT = """
 import sys, time
 from pathlib import Path
 from conformodal.io import read_recording
-from conformodal.io.streams import SequenceStream
+from conformodal.io.streams import RecordingStream
 from conformodal.io.convert import write_layout
 sequence = read_recording(sys.argv[1])
 def wait(number):
     print(number, flush=True)
     time.sleep(60)
-write_layout(Path(sys.argv[2]), "tum", SequenceStream(sequence), sequence.camera, sequence.truth, wait)
+write_layout(Path(sys.argv[2]), "tum", RecordingStream(sequence), sequence.camera, sequence.truth, wait)
 """
 
 

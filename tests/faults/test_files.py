@@ -11,7 +11,7 @@ from PIL import Image
 
 from conformodal.io import DatasetError, DatasetWarning, ImageError, Layout, read_recording
 from conformodal.io.streams.opening import open_stream
-from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.stored import RecordingStream
 from tests.helpers import contents, invoke, run_ok
 from tests.io.test_layouts import WRITERS, N
 from tests.io.test_refusals import file_of
@@ -65,7 +65,7 @@ def test_a_bad_image_costs_its_frame(tmp_path, layout, damage):
     place = (list(WRITERS).index(layout) + list(UNREADABLE).index(damage)) % 2 * 3  # the first, or one in the middle
     UNREADABLE[damage](before.image_paths[place])
     expect(folder, layout, before, place, before.image_paths[place].name)
-    frames = list(SequenceStream(read_recording(folder, require_poses=False)))
+    frames = list(RecordingStream(read_recording(folder, require_poses=False)))
     assert [frame.image is None for frame in frames] == [i == place for i in range(N)]
 
 

@@ -3,12 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conformodal.geometry import Trajectory
 from conformodal.io import DatasetError, make_split
-from conformodal.io.joining import join_recordings, near_known
+from conformodal.io.joining import JoinedStream, join_recordings, join_streams
 from conformodal.io.streams.frames import SourceError
-from conformodal.io.streams.joined import JoinedStream, join_streams
-from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.stored import RecordingStream
 from conformodal.io.streams.video import CameraStream
 
 
@@ -71,16 +69,11 @@ def test_a_frame_in_two_data_sets_is_refused(sequence):
 
 
 def test_streams_of_several_kinds_run_one_after_the_other(sequence):
-    one, other = (SequenceStream(part(sequence, *rows)) for rows in ((10, 14), (0, 3)))
-    assert isinstance(join_streams([one, other]), SequenceStream)
+    one, other = (RecordingStream(part(sequence, *rows)) for rows in ((10, 14), (0, 3)))
+    assert isinstance(join_streams([one, other]), RecordingStream)
     frames = list(JoinedStream((one, other)))
     assert [frame.recording for frame in frames] == [4, 4, 4, 4, 9, 9, 9]
     assert (np.diff([frame.timestamp_s for frame in frames]) > 0).all()
     assert JoinedStream((one, other)).n_frames == 7
     with pytest.raises(SourceError, match="never ends"):
         join_streams([CameraStream(0, None), one])
-
-
-def test_poses_near_a_known_one_are_told(sequence):
-    poses = Trajectory(np.arange(4), np.diag([0.0, 0.2, 0.4, 0])[:, :3], [[1, 0, 0, 0]] * 3 + [[1, 1, 0, 0]])
-    np.testing.assert_array_equal(near_known(poses, poses[:1], 0.3, np.radians(30)), [True, True, False, False])

@@ -12,7 +12,7 @@ from PIL import Image
 from conformodal.geometry import PinholeCamera, Trajectory
 from conformodal.io import Layout, Recording, read_recording
 from conformodal.io.convert import WRITABLE, write_layout
-from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.stored import RecordingStream
 
 SIZE = (64, 48)
 LENSES = [(), (-0.1, 0.02, 0.001, 0.002), (-0.1, 0.02, 0.001, 0.002, 0.003)]
@@ -62,7 +62,7 @@ def check_round_trip(source, layout):
     known = source[3]
     with tempfile.TemporaryDirectory() as scratch:
         before, truth = stored(Path(scratch), source)
-        done = write_layout(Path(scratch) / "b", layout, SequenceStream(before), before.camera, truth, max_gap_s=0)
+        done = write_layout(Path(scratch) / "b", layout, RecordingStream(before), before.camera, truth, max_gap_s=0)
         after = read_recording(Path(scratch) / "b", require_poses=False)
         assert (done.n_frames, done.n_posed) == (len(known), known.sum())
         reds = [after.image(i)[0, 0, 0] for i in range(len(after))]

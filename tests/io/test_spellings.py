@@ -22,7 +22,7 @@ from conformodal.io.layouts.images import read_image_folder
 from conformodal.io.pose_files import read_tum, tum_table
 from conformodal.io.pose_text import fractions_of, lost_faults, matrix_faults
 from conformodal.io.reading import by_name
-from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.stored import RecordingStream
 
 from .test_layouts import PLACES, QUATS, WRITERS, N, as_binary, matrices, picture
 from .test_on_disk import PINHOLE, colmap, nerf, path_at
@@ -628,7 +628,7 @@ def test_images_that_exif_turns_are_written_as_they_are_shown(tmp_path, turn):
         pixels[:8, :8] = 200
         Image.fromarray(pixels).save(path, exif=exif)
     given = read_recording(folder)
-    write_layout(tmp_path / "b", Layout.COLMAP, SequenceStream(given), given.camera, given.truth)
+    write_layout(tmp_path / "b", Layout.COLMAP, RecordingStream(given), given.camera, given.truth)
     right(sequence := read_recording(tmp_path / "b"))
     np.testing.assert_array_equal(sequence.image(0), given.image(0))
 

@@ -11,8 +11,8 @@ from conformodal.geometry import Trajectory
 from conformodal.io import DatasetWarning, Layout, check_recording, read_recording
 from conformodal.io.convert import write_layout
 from conformodal.io.pose_files import write_tum
-from conformodal.io.streams.stored import SequenceStream
-from conformodal.io.streams.video import VideoStream
+from conformodal.io.streams.stored import RecordingStream
+from conformodal.io.streams.video import open_video
 from tests.helpers import invoke, refusal, run_ok
 
 NOTES = {"gap": "gap in time", "picture": "the same picture", "scaled": "intrinsics were scaled"}
@@ -36,7 +36,7 @@ def test_seven_scenes_keeps_gaps_by_the_numbers_of_its_frames(tmp_path):
     before = scene(tmp_path / "a")
     before.image_paths[2].write_bytes(b"no image")
     known = before.truth[np.array([0, 1, 2, 4])]
-    done = write_layout(tmp_path / "b", Layout.SEVENSCENES, SequenceStream(before), before.camera, known)
+    done = write_layout(tmp_path / "b", Layout.SEVENSCENES, RecordingStream(before), before.camera, known)
     assert (done.n_frames, done.n_posed, done.n_unreadable) == (5, 3, 1)
     (why,) = [note for note in done.notes if note.startswith(f"{before.image_paths[2]}: cannot be decoded")]
     assert [note for note in done.notes if note != why] == [
@@ -54,7 +54,7 @@ def test_seven_scenes_says_that_uneven_times_are_lost(tmp_path):
     before = scene(tmp_path / "a", n=12)
     times = np.cumsum([0, 0.1, 0.1, 0.13, 0.04, 0.1, 0.17, 0.1, 0.06, 0.1, 0.11, 0.08])
     moved = replace(before, timestamps_s=times, truth=replace(before.truth, timestamps_s=times))
-    done = write_layout(tmp_path / "b", Layout.SEVENSCENES, SequenceStream(moved), moved.camera, moved.truth)
+    done = write_layout(tmp_path / "b", Layout.SEVENSCENES, RecordingStream(moved), moved.camera, moved.truth)
     assert done.notes == ["7scenes has no timestamps: they are read back as even, 10.000 Hz"]
 
 
@@ -73,7 +73,7 @@ def test_a_video_becomes_a_data_set(tmp_path):
     assert len(found) == 8
     np.testing.assert_allclose(found.truth.positions_xyz, poses.positions_xyz)
     assert [int(found.image(i).mean()) for i in range(8)] == pytest.approx([25 * i for i in range(8)], abs=2)
-    assert VideoStream(tmp_path / "v.avi").n_frames == 8
+    assert open_video(tmp_path / "v.avi").n_frames == 8
 
 
 def test_a_camera_has_no_end_to_convert(tmp_path):
@@ -117,7 +117,7 @@ def test_what_is_only_worth_knowing_does_not_fail_a_check(tmp_path, what):
             path.rename(path.with_name(f"{float(path.stem) + 2:.6f}.png"))
     else:
         folder = tmp_path / "b"
-        write_layout(folder, Layout.COLMAP, SequenceStream(before), before.camera, before.truth)
+        write_layout(folder, Layout.COLMAP, RecordingStream(before), before.camera, before.truth)
         (folder / "sparse" / "0" / "cameras.txt").write_text("1 PINHOLE 128 96 80 82 64 48\n")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DatasetWarning)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Trajectory
-from conformodal.localizer.overlap import Overlap, compare_world_frames, measure_overlap
+from conformodal.localizer.overlap import Overlap, compare_world_frames, measure_overlap, near_known
 
 TURN = Rotation.from_rotvec([0, 0, 0.2])
 NEAR = Overlap(0.9, 40, 33)
@@ -58,3 +58,8 @@ def test_recordings_in_two_world_frames_are_told_apart(sequence):
     assert not same.frames_differ
     assert other.frames_differ
     assert "the world frames are likely" in other.describe("a", "b")
+
+
+def test_poses_near_a_known_one_are_told(sequence):
+    poses = Trajectory(np.arange(4), np.diag([0.0, 0.2, 0.4, 0])[:, :3], [[1, 0, 0, 0]] * 3 + [[1, 1, 0, 0]])
+    np.testing.assert_array_equal(near_known(poses, poses[:1], 0.3, np.radians(30)), [True, True, False, False])

@@ -7,7 +7,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from conformodal.io import ImageError, read_recording
 from conformodal.io.streams.frames import Frame, SourceError
-from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.stored import RecordingStream
 from conformodal.localizer.filter import filter_posteriors
 from conformodal.localizer.places import choose_places, same_place
 from conformodal.localizer.region_rules import EvidenceType
@@ -40,7 +40,7 @@ def stream(world, frames, folder, **options):
     sequence, model = world
     with ResultsWriter(folder) as writer:
         runner = StreamRunner(VisualOdometry(model), writer, truth=sequence.truth, **options)
-        for frame in SequenceStream(sequence, frames):
+        for frame in RecordingStream(sequence, frames):
             runner.push(frame)
         runner.finish()
     return runner
@@ -104,7 +104,7 @@ def test_a_stream_looks_back_at_regions_that_hold_the_frames_which_calibrated_th
     sequence, model = world
     frames, odometry = model.split.calibration, VisualOdometry(model)
     now, back = [], []
-    for frame in SequenceStream(sequence, frames):
+    for frame in RecordingStream(sequence, frames):
         if frame.answer:
             now.append(odometry.step(frame.image, frame.timestamp_s))
             back.append(odometry.lagged())
@@ -152,7 +152,7 @@ def test_online_poses_are_those_that_step_gives_and_know_no_later_frame(world, b
     frames, run = batch
     n = 30
     odometry, said = VisualOdometry(model), []
-    for frame in SequenceStream(sequence, frames[:n]):
+    for frame in RecordingStream(sequence, frames[:n]):
         if frame.answer:
             said.append(odometry.step(frame.image, frame.timestamp_s).pose.positions_xyz[0])
         else:
@@ -172,7 +172,7 @@ def test_a_stream_has_the_flow_that_the_whole_sequence_has(world, monkeypatch):
     localize = type(model).localize
     monkeypatch.setattr(type(model), "localize", lambda own, e: seen.extend(e.local_features) or localize(own, e))
     odometry = VisualOdometry(model)
-    for frame in SequenceStream(sequence, frames):
+    for frame in RecordingStream(sequence, frames):
         image = None if frame.index in (71, 79) else frame.image
         odometry.step(image, frame.timestamp_s) if frame.answer else odometry.track_only(image, frame.timestamp_s)
     read = type(sequence).image
@@ -207,7 +207,7 @@ def test_what_waits_does_not_grow(world, tmp_path):
     sequence, model = world
     with ResultsWriter(tmp_path) as writer:
         runner = StreamRunner(VisualOdometry(model), writer, window=30, overlap=10)
-        for i, frame in enumerate(SequenceStream(sequence, np.arange(75))):
+        for i, frame in enumerate(RecordingStream(sequence, np.arange(75))):
             runner.push(frame)
             assert len(runner._pending) < 30
             # regions are on disk at once, whatever happens next
@@ -220,7 +220,7 @@ def test_frames_without_an_image_are_counted_and_the_stream_goes_on(world, tmp_p
     sequence, model = world
     with ResultsWriter(tmp_path) as writer:
         runner = StreamRunner(VisualOdometry(model), writer)
-        for i, frame in enumerate(SequenceStream(sequence, np.arange(12))):
+        for i, frame in enumerate(RecordingStream(sequence, np.arange(12))):
             bad = Frame(frame.name, frame.timestamp_s, None, "torn") if i in (0, 5) else frame
             estimate = runner.push(bad)
             assert (estimate.region is None) == (i in (0, 5))
@@ -234,7 +234,7 @@ def test_frames_without_an_image_are_counted_and_the_stream_goes_on(world, tmp_p
 
 def test_a_time_twice_costs_that_frame_and_a_clock_set_back_ends_the_run_with_all_before_kept(world, tmp_path):
     sequence, model = world
-    frames = list(SequenceStream(sequence, np.arange(8)))
+    frames = list(RecordingStream(sequence, np.arange(8)))
     with ResultsWriter(tmp_path) as writer:
         runner = StreamRunner(VisualOdometry(model), writer)
         for frame in frames:
@@ -253,7 +253,7 @@ def test_a_time_twice_costs_that_frame_and_a_clock_set_back_ends_the_run_with_al
 
 def test_recordings_are_answered_apart(world, tmp_path):
     sequence, model = world
-    frames = list(SequenceStream(sequence, np.arange(20)))
+    frames = list(RecordingStream(sequence, np.arange(20)))
     with ResultsWriter(tmp_path) as writer:
         runner = StreamRunner(VisualOdometry(model), writer)
         for i, frame in enumerate(frames):

@@ -25,7 +25,7 @@ from conformodal.io.joining import join_recordings
 from conformodal.io.lenses import as_camera
 from conformodal.io.reading import Note
 from conformodal.io.streams.frames import FrameStream
-from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.stored import RecordingStream
 from conformodal.localizer.overlap import Overlap, measure_overlap
 from conformodal.pipeline.depths import measure_depths
 from conformodal.pipeline.model import PoseModel
@@ -151,7 +151,7 @@ def convert(
     stream = open_source(source, layout, topic=topic, follow_outside=follow_outside)
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
-    own = stream.sequence.poses if isinstance(stream, SequenceStream) else None
+    own = stream.sequence.poses if isinstance(stream, RecordingStream) else None
     truth = own if poses is None else read_poses(poses, time_offset, stream, max_gap)
     if stream.camera is not None and camera is not None:
         raise OptionError(f"--camera is for sources without calibration, and {stream.name} has {stream.camera}")

@@ -16,12 +16,12 @@ import typer
 
 from conformodal.geometry import Trajectory
 from conformodal.io import Layout, Recording
+from conformodal.io.joining import join_streams
 from conformodal.io.lenses import as_camera, describe_change
 from conformodal.io.streams.bag import BagStream
 from conformodal.io.streams.frames import Frame, FrameStream, SourceError
-from conformodal.io.streams.joined import join_streams
 from conformodal.io.streams.prefetch import Pace, prefetch
-from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.stored import RecordingStream
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimates import Estimate
@@ -101,8 +101,8 @@ def run(
         open_one = partial(open_source, topic=topic, as_trained=part is not Part.ALL, follow_outside=follow_outside)
         opened = [open_one(source, layout, camera=assumed) for source in sources]
         stream = join_streams([_as_trained(loaded, its, bring=part is Part.ALL) for its in opened])
-        if isinstance(stream, SequenceStream):
-            stream = SequenceStream(stream.sequence, part_frames(loaded, stream.sequence, part))
+        if isinstance(stream, RecordingStream):
+            stream = RecordingStream(stream.sequence, part_frames(loaded, stream.sequence, part))
         elif part is not Part.ALL:
             raise OdometryError(f"{stream.name}: only a data set has a {part} part; run on all of it")
         how = _StreamOptions(part, pace, limit, model_digest(model))
@@ -131,7 +131,7 @@ def _as_trained(model: PoseModel, stream: FrameStream, *, bring: bool) -> FrameS
             raise
         change = describe_change(camera, model.camera)
         report_line(f"{exc}: its images are brought to the model's camera, those of {change}")
-    if isinstance(stream, SequenceStream):
+    if isinstance(stream, RecordingStream):
         return replace(stream, sequence=as_camera(stream.sequence, model.camera))
     return replace(stream, camera=model.camera) if isinstance(stream, BagStream) else stream
 
@@ -200,7 +200,7 @@ def _stream_through(
 
     Returns the metrics, and whether the region of an image that shows a known place is unbounded in some target.
     """
-    sequence: Recording | None = stream.sequence if isinstance(stream, SequenceStream) else None
+    sequence: Recording | None = stream.sequence if isinstance(stream, RecordingStream) else None
     shown = _Shown(watching)
     lossy = stream.live or how.pace is Pace.CAMERA
     odometry = odometry_of(model)

@@ -25,7 +25,7 @@ from conformodal.io.streams.bag import BagStream
 from conformodal.io.streams.bag_poses import read_bag_poses
 from conformodal.io.streams.frames import FrameStream
 from conformodal.io.streams.opening import open_stream
-from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.stored import RecordingStream
 
 from .console import report_line, warning_lines
 from .options import OptionError
@@ -141,13 +141,13 @@ def open_source(
     with warnings.catch_warnings():  # they are printed here
         warnings.simplefilter("ignore", DatasetWarning)
         stream = open_stream(source, layout, camera=camera, topic=topic, follow_outside=follow_outside)
-        if as_trained and isinstance(stream, SequenceStream) and stream.sequence.truth is None:
+        if as_trained and isinstance(stream, RecordingStream) and stream.sequence.truth is None:
             with suppress(DatasetError):  # no frame has a pose
                 again = read_recording(Path(source), layout, require_poses=True, follow_outside=follow_outside)
-                stream = SequenceStream(again)
+                stream = RecordingStream(again)
     if topic is not None and not isinstance(stream, BagStream):
         raise OptionError(f"--topic is for ROS recordings, and {source} is not one, got {topic!r}")
-    if isinstance(stream, SequenceStream):
+    if isinstance(stream, RecordingStream):
         kind = recognise(Path(source)) if layout is Layout.AUTO else layout
         poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"
         report_line(f"{source}: {kind} layout, {counted(len(stream.sequence), 'frame')} {poses}")
@@ -156,5 +156,5 @@ def open_source(
         count = "" if stream.n_frames is None else f", {counted(stream.n_frames, 'frame')}"
         kind_of_stream = type(stream).__name__.removesuffix("Stream").lower()
         report_line(f"{stream.name}: {kind_of_stream}{count}")
-        _report_warnings(getattr(stream, "notes", ()))
+        _report_warnings(stream.notes)
     return stream

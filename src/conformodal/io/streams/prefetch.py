@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections import deque
 from collections.abc import Generator
+from contextlib import suppress
 from enum import StrEnum
+from queue import Empty, Full, Queue
+from threading import Event, Thread
 
 from conformodal.core.ranges import as_member
 
 from .frames import Frame, FrameStream, SourceError
 
 DEPTH = 4
+_WAIT_S = 0.1  # after which the thread looks whether its taker has gone
 
 
 class Pace(StrEnum):
@@ -29,49 +31,39 @@ def prefetch(stream: FrameStream, depth: int = DEPTH, pace: Pace | str = Pace.FA
     where the source is live, nothing waits: the oldest frame that was not taken yet is lost, as it would be to a robot.
     """
     pace = as_member(pace, Pace, "pace", SourceError)
-    ready: deque[Frame] = deque()
-    changed = threading.Condition()
-    ended = stopped = False
-    error: BaseException | None = None
-    lossy = stream.live or pace is Pace.CAMERA
+    by_time, lossy = pace is Pace.CAMERA and not stream.live, stream.live or pace is Pace.CAMERA
+    ready: Queue[Frame | BaseException | None] = Queue(depth)  # None ends it
+    stopped = Event()
 
-    def work() -> None:
-        nonlocal ended, error
-        start: float | None = None
+    def offer(item: Frame | BaseException | None) -> None:
+        while not stopped.is_set():
+            if lossy and ready.full():
+                with suppress(Empty):
+                    ready.get_nowait()
+            with suppress(Full):
+                return ready.put(item, timeout=_WAIT_S)
+
+    def decode() -> None:
+        start_s: float | None = None
         try:
             for frame in stream:
-                if pace is Pace.CAMERA and not stream.live:
-                    start = time.monotonic() - frame.timestamp_s if start is None else start
-                    time.sleep(max(0.0, start + frame.timestamp_s - time.monotonic()))
-                with changed:
-                    changed.wait_for(lambda: stopped or lossy or len(ready) < depth)
-                    if stopped:
-                        break
-                    if len(ready) >= depth:
-                        ready.popleft()
-                    ready.append(frame)
-                    changed.notify_all()
+                if by_time:
+                    start_s = time.monotonic() - frame.timestamp_s if start_s is None else start_s
+                    time.sleep(max(0.0, start_s + frame.timestamp_s - time.monotonic()))
+                offer(frame)
+                if stopped.is_set():
+                    return
+            offer(None)
         except BaseException as exc:
-            error = exc
-        with changed:
-            ended = True
-            changed.notify_all()
+            offer(exc)
 
-    thread = threading.Thread(target=work, name="decoder", daemon=True)
+    thread = Thread(target=decode, name="decoder", daemon=True)
     thread.start()
     try:
-        while True:
-            with changed:
-                changed.wait_for(lambda: bool(ready) or ended)
-                if not ready:
-                    break
-                frame = ready.popleft()
-                changed.notify_all()
-            yield frame
-        if error is not None:
-            raise error
+        while (item := ready.get()) is not None:
+            if isinstance(item, BaseException):
+                raise item
+            yield item
     finally:
-        with changed:
-            stopped = True
-            changed.notify_all()
+        stopped.set()
         thread.join(timeout=5)

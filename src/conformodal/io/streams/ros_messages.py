@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
 import numpy as np
 
 from conformodal.core.arrays import AnyArray, UInt8Array
+from conformodal.core.extras import require_extra
 from conformodal.io.cameras import UNDISTORT, Size, camera_of, check_matrix
 from conformodal.io.decoding import decode, to_eight_bits, white_in, white_level
 from conformodal.io.errors import DatasetError
@@ -18,36 +20,16 @@ from conformodal.io.reading import Note
 from .frames import SourceError
 
 RAW, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
-# encoding: (bytes and number of values of a pixel, rows in halves of the image's, conversion to RGB or None)
-_ENCODINGS: dict[str, tuple[int, int, int, int | None]] = {
-    "rgb8": (1, 3, 2, None),
-    "bgr8": (1, 3, 2, cv2.COLOR_BGR2RGB),
-    "8UC3": (1, 3, 2, cv2.COLOR_BGR2RGB),
-    "rgba8": (1, 4, 2, cv2.COLOR_RGBA2RGB),
-    **dict.fromkeys(("bgra8", "8UC4"), (1, 4, 2, cv2.COLOR_BGRA2RGB)),
-    "mono8": (1, 1, 2, cv2.COLOR_GRAY2RGB),
-    "8UC1": (1, 1, 2, cv2.COLOR_GRAY2RGB),
-    "rgb16": (2, 3, 2, None),
-    "bgr16": (2, 3, 2, cv2.COLOR_BGR2RGB),
-    "mono16": (2, 1, 2, cv2.COLOR_GRAY2RGB),
-    **{
-        f"bayer_{order.lower()}{8 * width}": (width, 1, 2, getattr(cv2, f"COLOR_Bayer{order}2RGB"))
-        for order in ("RGGB", "BGGR", "GBRG", "GRBG")
-        for width in (1, 2)
-    },
-    **dict.fromkeys(("yuv422", "uyvy"), (1, 2, 2, cv2.COLOR_YUV2RGB_UYVY)),
-    **dict.fromkeys(("yuv422_yuy2", "yuyv"), (1, 2, 2, cv2.COLOR_YUV2RGB_YUY2)),
-    "nv12": (1, 1, 3, cv2.COLOR_YUV2RGB_NV12),
-    "nv21": (1, 1, 3, cv2.COLOR_YUV2RGB_NV21),
-}
-_LENSES = (
-    "plumb_bob",
-    "radtan",
-    "rational_polynomial",
-    "brown_conrady",
-    "",
-)  # the third with k4 to k6 zero, as the first
+_OF_OPENCV = {"8uc1": "mono8", "8uc3": "bgr8", "8uc4": "bgra8"}  # as cv_bridge takes them
+# the third with k4 to k6 zero, as the first
+_LENSES = ("plumb_bob", "radtan", "rational_polynomial", "brown_conrady", "")
 _FISHEYES = ("equidistant", "fisheye", "kannala_brandt4")
+
+
+def _rosbags_image() -> Any:
+    with require_extra("ros", "a ROS image"):
+        from rosbags.image import image  # noqa: PLC0415 - an extra
+    return image
 
 
 def stamp_s(message: Any) -> float:
@@ -55,24 +37,20 @@ def stamp_s(message: Any) -> float:
     return float(message.header.stamp.sec) + 1e-9 * float(message.header.stamp.nanosec)
 
 
-def check_encoding(encoding: str, place: str) -> None:
-    """Refuse an encoding that cannot be decoded, with the list of those that can."""
-    if _known(encoding) not in _ENCODINGS:
-        raise SourceError(f"{place}: encoding {encoding} is none of {', '.join(_ENCODINGS)}")
-
-
-def _known(encoding: str) -> str:
-    """An encoding as the list has it: some drivers write capitals."""
-    return encoding if encoding in _ENCODINGS else encoding.strip().lower()
+def encoding_of(message: Any, place: str = "image") -> str:
+    """The encoding of a ``sensor_msgs/Image`` by its name in rosbags-image; a :class:`SourceError` if it has none."""
+    encoding: str = message.encoding.strip().lower()  # some drivers write capitals
+    encoding = _OF_OPENCV.get(encoding, encoding)
+    if encoding not in (readable := _rosbags_image().ENCODINGMAP):
+        raise SourceError(f"{place}: encoding {message.encoding} is none of {', '.join(readable)}")
+    return encoding
 
 
 def white_of(message: Any) -> int:
     """The level that is shown as white: of the bits that a 16-bit image uses, else 255."""
     if not hasattr(message, "encoding"):
         return white_in(bytes(message.data))
-    if _ENCODINGS.get(_known(message.encoding), (1,))[0] == 2:
-        return white_level(_pixels(message))
-    return 255
+    return white_level(_pixels(message)) if encoding_of(message).endswith("16") else 255
 
 
 def image_of(message: Any, kind: str, white: int | None = None) -> UInt8Array:
@@ -86,47 +64,52 @@ def image_of(message: Any, kind: str, white: int | None = None) -> UInt8Array:
         If its encoding is not known, or its bytes do not make such an image.
     """
     if kind == COMPRESSED:
-        image = decode(bytes(message.data), f"{message.format!r} data", white=white)
-        mosaic, _, target = message.format.lower().partition(";")
-        if is_swapped(message.format):
-            return np.ascontiguousarray(image[..., ::-1])
-        known = _ENCODINGS.get(f"{mosaic.strip().rstrip('16').rstrip('8')}8")
-        if not mosaic.startswith("bayer") or known is None or "8" in target.partition("compressed")[2]:
-            return image
-        return np.asarray(cv2.cvtColor(np.ascontiguousarray(image[..., 0]), known[3] or 0), dtype=np.uint8)
-    image = _pixels(message)
-    if image.dtype.itemsize == 2:
-        image = to_eight_bits(image, white or white_level(image))
-    conversion = _ENCODINGS[_known(message.encoding)][3]
+        return _decompressed(message, white)
+    pixels, encoding = _pixels(message), encoding_of(message)
+    if pixels.dtype == np.uint16:
+        pixels = to_eight_bits(pixels, white or white_level(pixels))
+        encoding = encoding.removesuffix("16") + "8"
     try:
-        found = image if conversion is None else cv2.cvtColor(image.squeeze(), conversion)
+        return np.asarray(_rosbags_image().convert_color(pixels, encoding, "rgb8"), dtype=np.uint8)
     except cv2.error as exc:  # such as an odd side, where two pixels share a colour
         raise ValueError(f"{message.width}x{message.height} pixels cannot be {message.encoding}") from exc
-    return np.asarray(found, dtype=np.uint8)
-
-
-def is_swapped(form: str) -> bool:
-    """Whether the file of a ``CompressedImage`` has red for blue: of image_transport, ``; jpeg compressed rgb8``."""
-    return "compressed rgb" in form.lower().partition(";")[2]
 
 
 def _pixels(message: Any) -> AnyArray:
-    """The values (rows, width, n) of a raw image."""
-    check_encoding(message.encoding, "image")
-    n_bytes, n_values, halves, _ = _ENCODINGS[_known(message.encoding)]
-    width, height = message.width * n_bytes * n_values, message.height * halves // 2
+    """The values of a raw image, which rosbags-image takes without padding, and of NV12 and NV21 with colours below."""
+    encoding = encoding_of(message)
+    bits, _, _, n_values = _rosbags_image().ENCODINGMAP[encoding]
+    width = message.width * n_values * bits // 8
+    height = message.height * 3 // 2 if encoding.startswith("nv") else message.height
     data = np.frombuffer(message.data, dtype=np.uint8)
     step = width if data.size == height * width else message.step  # some drivers count it in pixels, or leave it out
     if data.size != height * step or step < width or not data.size:
         raise ValueError(f"{data.size} bytes do not make {message.width}x{message.height} pixels {message.encoding}")
     rows = np.ascontiguousarray(data.reshape(height, step)[:, :width])
-    kind = f"{'>' if message.is_bigendian else '<'}u{n_bytes}"
-    return rows.view(kind).reshape(height, message.width, n_values)
+    size = {"width": message.width, "height": height, "is_bigendian": message.is_bigendian}
+    return np.asarray(_rosbags_image().image_to_cvimage(SimpleNamespace(encoding=encoding, data=rows, **size)))
 
 
-def is_rectified(topic: str) -> bool:
-    """Whether a topic's images are rectified by its name, as ``image_rect_color`` of ``image_proc``."""
-    return re.search(r"(^|[/_])rect(ified)?($|[/_])", topic) is not None
+def _decompressed(message: Any, white: int | None) -> UInt8Array:
+    image = decode(bytes(message.data), f"{message.format!r} data", white=white)
+    if is_swapped(message.format):
+        return np.ascontiguousarray(image[..., ::-1])
+    mosaic, _, target = message.format.lower().partition(";")
+    encoding = mosaic.strip().rstrip("16").rstrip("8") + "8"
+    if (
+        not mosaic.startswith("bayer")
+        or encoding not in _rosbags_image().ENCODINGMAP
+        or "8" in target.partition("compressed")[2]
+    ):
+        return image
+    return np.asarray(
+        _rosbags_image().convert_color(np.ascontiguousarray(image[..., 0]), encoding, "rgb8"), dtype=np.uint8
+    )
+
+
+def is_swapped(form: str) -> bool:
+    """Whether the file of a ``CompressedImage`` has red for blue: of image_transport, ``; jpeg compressed rgb8``."""
+    return "compressed rgb" in form.lower().partition(";")[2]
 
 
 def is_calibrated(message: Any) -> bool:
@@ -146,8 +129,8 @@ def camera_of_info(
     place
         Where it comes from, for messages.
     topic
-        Of the images: for rectified ones P is the camera, without distortion, as for others whose K and D are zero;
-        else K and D.
+        Of the images: for rectified ones, as ``image_rect_color``, P is the camera, without distortion, as for others
+        whose K and D are zero; else K and D.
     size
         Of the images; the camera is scaled to it.
     notes
@@ -156,31 +139,30 @@ def camera_of_info(
     Raises
     ------
     SourceError
-        If the camera is no pinhole or fisheye with a lens that is known, or its numbers are none of a camera.
+        If the camera is not a pinhole or fisheye with a lens that is known, or its numbers are not those of a camera.
     """
-    found: list[Note] = []
-    lens = tuple(np.asarray(_field(message, "D"), dtype=np.float64).tolist())
-    P = np.array(_field(message, "P"), dtype=np.float64).reshape(3, 4)[:, :3]
-    rectified, model = is_rectified(topic), message.distortion_model.strip().lower().replace(" ", "_")
+    notes = [] if notes is None else notes
+    K = _field(message, "K").reshape(3, 3)
+    P = _field(message, "P").reshape(3, 4)[:, :3]
+    lens: tuple[float, ...] = tuple(_field(message, "D").tolist())
+    rectified = re.search(r"(^|[/_])rect(ified)?($|[/_])", topic) is not None
+    model = message.distortion_model.strip().lower().replace(" ", "_")
     if rectified and not P.any() and any(lens):
         raise SourceError(f"{place}: P is zero, and {topic} has rectified images, whose camera K and D are not")
-    k = np.array(_field(message, "K"), dtype=np.float64).reshape(3, 3)
-    only_p = bool(P.any()) and not k.any() and not any(lens)
-    by_p = only_p or (rectified and P.any())
-    k = P if by_p else k
-    if not k.any():
-        lost = ", and D, which is not, says that P is of other images" if P.any() else ""
-        raise SourceError(f"{place}: the camera is not calibrated: K is zero{lost}")
+    only_p = bool(P.any()) and not K.any() and not any(lens)
+    by_p = only_p or (rectified and bool(P.any()))
+    matrix = P if by_p else K
+    if not matrix.any():
+        reason = ", and D, which is not, says that P is of other images" if P.any() else ""
+        raise SourceError(f"{place}: the camera is not calibrated: K is zero{reason}")
     fisheye = model in _FISHEYES and not (rectified or by_p)
-    lens = () if rectified or not (any(lens) or fisheye) else lens
-    bad = len(lens) > 4 if fisheye else any(lens[5:]) or bool(lens and model not in _LENSES)
-    if bad:
+    lens = lens if not rectified and any(lens) else ()
+    if len(lens) > 4 if fisheye else (any(lens[5:]) or bool(lens and model not in _LENSES)):
         raise SourceError(
             f"{place}: lens {model!r} of {len(lens)} numbers, expected {_LENSES[0]} or {_FISHEYES[0]}: {UNDISTORT}"
         )
-    roi = message.roi
-    whole = int(message.width), int(message.height)
-    if whole == (0, 0) and size is not None:  # as drivers without a calibration of their own say it
+    roi, whole = message.roi, (int(message.width), int(message.height))
+    if whole == (0, 0) and size is not None:  # as drivers without a calibration write it
         whole = size
     window = (int(roi.width), int(roi.height)) if roi.width and roi.height else whole
     binning = max(int(message.binning_x), 1), max(int(message.binning_y), 1)
@@ -188,33 +170,29 @@ def camera_of_info(
     if min(stated) < 1:
         raise SourceError(f"{place}: gives its camera for {stated[0]}x{stated[1]} pixels, expected sides of at least 1")
     try:
-        check_matrix(place, k)
-        fx, fy, cx, cy = (k[0, 0], k[1, 1], k[0, 2] - roi.x_offset, k[1, 2] - roi.y_offset)
+        check_matrix(place, matrix)
+        fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2] - roi.x_offset, matrix[1, 2] - roi.y_offset
         pixels = fx / binning[0], fy / binning[1], cx / binning[0], cy / binning[1]
-        camera: AnyCamera = (
-            fisheye_of(place, pixels, size or stated, (*lens, 0.0, 0.0, 0.0, 0.0)[:4], stated=stated, notes=found)
-            if fisheye
-            else camera_of(place, pixels, size or stated, lens, stated=stated, notes=found)
-        )
+        of, lens = (fisheye_of, (*lens, 0.0, 0.0, 0.0, 0.0)[:4]) if fisheye else (camera_of, lens)
+        camera: AnyCamera = of(place, pixels, size or stated, lens, stated=stated, notes=notes)
     except DatasetError as exc:
         raise SourceError(str(exc)) from exc
-    if notes is not None:
-        cut = "" if stated == whole else f", window {window[0]}x{window[1]}, binning {binning[0]}x{binning[1]}"
-        zero = "" if lens else ", which is zero"
-        why = "as K and D are zero" if only_p else "for rectified images"
-        how = f"P, {why}, without distortion" if by_p else f"K and D{zero}"
-        notes += [*found, Note("camera of CameraInfo", f"{place}: {how}{cut}")]
+    how = "K and D" if any(lens) else "K and D, which is zero"
+    if by_p:
+        how = f"P, {'as K and D are zero' if only_p else 'for rectified images'}, without distortion"
+    cut = "" if stated == whole else f", window {window[0]}x{window[1]}, binning {binning[0]}x{binning[1]}"
+    notes.append(Note("camera of CameraInfo", f"{place}: {how}{cut}"))
     return camera
 
 
 def key_of_info(message: Any) -> str:
     """What a CameraInfo says of the camera, to tell when that changes."""
-    values = [np.asarray(_field(message, name)).tolist() for name in "KPD"]
     roi = message.roi
     window = roi.x_offset, roi.y_offset, roi.width, roi.height, message.binning_x, message.binning_y
+    values = [_field(message, name).tolist() for name in "KPD"]
     return repr((values, message.distortion_model, message.width, message.height, window))
 
 
-def _field(message: Any, name: str) -> Any:
-    """A field whose name is a capital letter in ROS 1 and a small one in ROS 2."""
-    return getattr(message, name if hasattr(message, name) else name.lower())
+def _field(message: Any, name: str) -> AnyArray:
+    """Numbers of a field whose name is a capital letter in ROS 1 and a small one in ROS 2."""
+    return np.asarray(getattr(message, name if hasattr(message, name) else name.lower()), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""A data set as a stream."""
+"""A data set as a stream that ends."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from conformodal.core.arrays import IntArray
 from conformodal.geometry import PinholeCamera
 from conformodal.io.errors import ImageError
+from conformodal.io.reading import Note
 from conformodal.io.recording import Recording
 
 from .frames import Frame
 
 
 @dataclass(frozen=True, eq=False)
-class SequenceStream:
+class RecordingStream:
     """Frames of a data set.
 
     Attributes
@@ -41,6 +42,11 @@ class SequenceStream:
         return self.sequence.camera
 
     @property
+    def notes(self) -> tuple[Note, ...]:
+        """The data set's."""
+        return self.sequence.notes
+
+    @property
     def n_frames(self) -> int:
         """Frames to come, those between included."""
         return len(self._span())
@@ -52,7 +58,7 @@ class SequenceStream:
 
     def __iter__(self) -> Iterator[Frame]:
         """Decode frame after frame; one that cannot be decoded comes without an image."""
-        wanted = None if self.frames is None else set(self.frames.tolist())
+        wanted = set(self._span() if self.frames is None else self.frames.tolist())
         for i in self._span():
             image, problem = None, ""
             try:
@@ -60,5 +66,4 @@ class SequenceStream:
             except ImageError as exc:
                 problem = str(exc)
             name, time_s = self.sequence.image_paths[i].name, float(self.sequence.timestamps_s[i])
-            recording = int(self.sequence.recording[i])
-            yield Frame(name, time_s, image, problem, recording, wanted is None or i in wanted, i)
+            yield Frame(name, time_s, image, problem, int(self.sequence.recording[i]), i in wanted, i)
