@@ -22,7 +22,7 @@ from conformodal.geometry import PinholeCamera, RelativeMotion, Trajectory
 from conformodal.io import Recording
 from conformodal.io.decoding import grey_image
 from conformodal.io.streams.prefetch import prefetch
-from conformodal.io.streams.stored import SequenceStream
+from conformodal.io.streams.stored import RecordingStream
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import PoseFilter, Posterior, Window
 from conformodal.localizer.places import choose_places, find_places
@@ -137,7 +137,7 @@ class Odometry(ABC):
         """
         self.model.check_camera(sequence.camera)
         wanted = np.arange(len(sequence)) if frames is None else _as_frames(frames, len(sequence))
-        stream, unreadable = SequenceStream(sequence, wanted), dict[int, str]()
+        stream, unreadable = RecordingStream(sequence, wanted), dict[int, str]()
         answers: list[tuple[int, Estimate]] = []
         with StreamRunner(self._fresh(), keep_regions=True) as runner, closing(prefetch(stream)) as coming:
             for done, frame in enumerate(coming, start=1):
