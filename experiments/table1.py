@@ -20,7 +20,7 @@ from conformodal.cli.console import print_where, progress_bars, report_errors, r
 from conformodal.cli.sources import Cache, Data, DataLayout, cache_folder, open_sequence
 from conformodal.core.files import write_whole, writing_in
 from conformodal.features.extract import FeatureCache
-from conformodal.features.networks.lite import find_network
+from conformodal.features.networks.registry import find_network
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
 from conformodal.pipeline.config import Method

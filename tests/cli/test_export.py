@@ -4,8 +4,8 @@ import shutil
 import numpy as np
 import pytest
 
+from conformodal.features.backbone import OnnxBackbone
 from conformodal.features.networks.torch_backbone import TorchBackbone
-from conformodal.features.onnx_backbone import OnnxBackbone
 from conformodal.pipeline.store import load_model, save_model
 from tests.helpers import invoke, refusal, run_ok
 

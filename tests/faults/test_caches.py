@@ -58,7 +58,7 @@ def test_a_damaged_vector_is_made_again(features, damage):
     files, backbone, folder, expected = features
     cache = FeatureCache(folder)
     key = cache.key(backbone, files[1])
-    path = cache._path(key)
+    path = folder / "features" / key[:2] / f"{key}.safetensors"
     VECTORS[damage](path, expected[1])
     assert cache.load(key) is None
     assert not path.is_file()

@@ -7,7 +7,8 @@ import torch
 from conformodal.core.extras import MissingPackageError
 from conformodal.features.backbone import BackboneConfig
 from conformodal.features.networks import hub as hub_module
-from conformodal.features.networks.lite import NETWORKS, LiteNetwork, find_network
+from conformodal.features.networks.lite import LiteNetwork
+from conformodal.features.networks.registry import NETWORKS, find_network
 from conformodal.features.networks.torch_backbone import TorchBackbone, backbone_config
 from conformodal.features.settings import VisionError
 

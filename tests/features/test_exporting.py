@@ -6,11 +6,10 @@ from onnx import load_model_from_string
 from PIL import Image
 
 from conformodal.features import export as exporting
-from conformodal.features.backbone import BackboneConfig
+from conformodal.features.backbone import BackboneConfig, OnnxBackbone
 from conformodal.features.export import exported, quantised
 from conformodal.features.extract import FeatureCache
 from conformodal.features.networks.torch_backbone import TorchBackbone
-from conformodal.features.onnx_backbone import OnnxBackbone
 from conformodal.features.settings import VisionError
 
 CONFIG = BackboneConfig(width=96, height=64, grid=(2, 3))

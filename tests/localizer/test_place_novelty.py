@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from conformodal.features.backbone import coarse_features
+from conformodal.features.backbone import OnnxBackbone, coarse_features
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.features.onnx_backbone import OnnxBackbone
 from conformodal.features.settings import VisionError
 from conformodal.io import THUMBNAIL
 from conformodal.localizer.evidence import FrameEvidence

@@ -10,8 +10,8 @@ import numpy as np
 import typer
 
 from conformodal.core.words import counted, noun_for
+from conformodal.features.backbone import OnnxBackbone
 from conformodal.features.extract import FeatureCache
-from conformodal.features.onnx_backbone import OnnxBackbone
 from conformodal.io import Layout, Recording
 from conformodal.pipeline.config import Runtime, config_of
 from conformodal.pipeline.errors import OdometryError

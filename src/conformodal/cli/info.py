@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from conformodal.features.onnx_backbone import OnnxBackbone
+from conformodal.features.backbone import OnnxBackbone
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.config import Runtime
 from conformodal.pipeline.model import PoseModel

@@ -14,7 +14,7 @@ from conformodal.core.arrays import IntArray
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.features.extract import FeatureCache
-from conformodal.features.networks.lite import NETWORKS, find_network
+from conformodal.features.networks.registry import NETWORKS, find_network
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
 from conformodal.localizer.evidence import FrameEvidence

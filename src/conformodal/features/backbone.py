@@ -1,7 +1,11 @@
-"""Feature extractors: maps of a frozen network, which keep where in the image things are, and a thumbnail."""
+"""Feature extractors: maps of a frozen network, which keep where in the image things are, and a thumbnail.
+
+A trained model runs its network by ONNX Runtime, without torch.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -11,10 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import Float32Array, UInt8Array
+from conformodal.core.extras import require_extra
+from conformodal.core.parallel import thread_limit
 from conformodal.io import THUMBNAIL, thumbnail
 
 from .settings import VisionError
 
+INPUT, OUTPUT = "images", "map"  # of networks in ONNX
 _PICTURE = THUMBNAIL[0] * THUMBNAIL[1]
 
 
@@ -100,3 +107,44 @@ class Backbone(ABC):
     def features_of(self, image: UInt8Array) -> Float32Array:
         """Features (1, F) of one image (h, w, 3), the same numbers as a data set's from the cache."""
         return self.describe(self.prepare(image)[None]).astype(np.float32)
+
+
+class OnnxBackbone(Backbone):
+    """A feature extractor in ONNX.
+
+    The file has the input ``images`` (n, height, width, 3) uint8 and the output ``map`` (n, channels * rows * columns)
+    float32.
+    """
+
+    def __init__(self, config: BackboneConfig, content: bytes) -> None:
+        with require_extra("run", "running a model"):
+            import onnxruntime  # noqa: PLC0415 - only where a network is run
+        self.config, self.content = config, content
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = thread_limit()
+        # idle threads that spin take the cores from tracking and search
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        try:
+            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+            shape = self._session.get_inputs()[0].shape[1:]
+            names = [node.name for node in (*self._session.get_inputs(), *self._session.get_outputs())]
+        except Exception as exc:  # ONNX Runtime raises classes of its own, without a common one
+            raise VisionError(f"the network is not an ONNX file that ONNX Runtime reads: {exc}") from exc
+        if names != [INPUT, OUTPUT] or shape != [config.height, config.width, 3]:
+            raise VisionError(
+                f"the network must have the input {INPUT!r} (n, {config.height}, {config.width}, 3) and the output "
+                f"{OUTPUT!r}, got {names} and {shape}"
+            )
+
+    @property
+    def fingerprint(self) -> str:
+        """Digest of the ONNX file and of the form of the global descriptor."""
+        return hashlib.sha256(self.content + repr(THUMBNAIL).encode()).hexdigest()
+
+    def maps(self, images: UInt8Array) -> Float32Array:
+        """The network's features (n, channels * rows * columns) of prepared images (n, h, w, 3).
+
+        Images go in one by one: a batch is no quicker, and rounds otherwise than a stream's single images.
+        """
+        maps = [self._session.run([OUTPUT], {INPUT: image[None]})[0] for image in np.ascontiguousarray(images)]
+        return np.concatenate(maps)

@@ -20,10 +20,8 @@ from conformodal.core.progress import Progress
 from conformodal.features.networks.torch_backbone import TorchBackbone
 from conformodal.io import read_image
 
-from .backbone import Backbone
-from .cache import cache_arrays, cached_arrays
+from .backbone import INPUT, OUTPUT, Backbone, OnnxBackbone
 from .extract import FeatureCache
-from .onnx_backbone import INPUT, OUTPUT, OnnxBackbone
 from .settings import VisionError
 
 # What the oldest ONNX Runtime that is supported, 1.20, reads: IR 10 and opset 21. The exporter would write the newest.
@@ -67,11 +65,10 @@ def quantised(
 
 def _cached_network(backbone: Backbone, key: str, cache: FeatureCache, make: Callable[[], bytes]) -> OnnxBackbone:
     """A backbone in the ONNX file that the cache holds under a key; it is made where the cache does not hold it."""
-    path = None if cache.folder is None else cache.folder.parent / "networks" / f"{key}.safetensors"
-    found = None if path is None else cached_arrays(path, key)
-    content = make() if found is None else found["onnx"].tobytes()
-    if path is not None and found is None:
-        cache_arrays(path, key, {"onnx": np.frombuffer(content, dtype=np.uint8)})
+    cached = cache.load(key, "networks")
+    content = make() if cached is None else cached.tobytes()
+    if cached is None:
+        cache.store(key, np.frombuffer(content, dtype=np.uint8), "networks")
     return OnnxBackbone(backbone.config, content)
 
 
@@ -104,8 +101,8 @@ def _export(backbone: TorchBackbone) -> bytes:
 def _check_same(backbone: TorchBackbone, made: OnnxBackbone) -> None:
     shape = (2, backbone.config.height, backbone.config.width, 3)
     images = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
-    expected, found = backbone.maps(images), made.maps(images)
-    if expected.shape != found.shape or np.abs(found - expected).max() > _TOLERANCE * np.abs(expected).max():
+    expected, maps = backbone.maps(images), made.maps(images)
+    if expected.shape != maps.shape or np.abs(maps - expected).max() > _TOLERANCE * np.abs(expected).max():
         raise VisionError(f"{backbone.config.name} answers otherwise when exported to ONNX")
 
 

@@ -5,26 +5,36 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
 
-from conformodal.core.arrays import Float32Array, UInt8Array
+from conformodal.core.arrays import AnyArray, Float32Array, UInt8Array
+from conformodal.core.files import write_whole
 from conformodal.core.progress import Progress
 from conformodal.io import ImageChange, ImageError, read_image
 
 from .backbone import Backbone
-from .cache import cache_arrays, cached_arrays
 
-_BATCH = 16
+_BATCH, _AHEAD = 16, 3
+_DIGEST = "digest"
 
 
 class FeatureCache:
-    """Feature vectors in files named by the digest of backbone and image; without a folder nothing is cached."""
+    """Arrays in files, named by the digest of what they were made from; without a folder nothing is cached.
+
+    Each file holds one array and a digest of array and key, which detects damage and renamed files. The `kind` is the
+    folder that it is in: ``features``, or ``networks``.
+    """
 
     def __init__(self, folder: Path | None) -> None:
-        self.folder = None if folder is None else folder / "features"
+        self.folder = folder
 
     def key(self, backbone: Backbone, image_file: Path, noise: ImageChange | None = None) -> str:
         """Digest of everything that determines the features of an image file."""
@@ -35,21 +45,39 @@ class FeatureCache:
         disturbed = "" if noise is None or not noise.changes else f"{noise} {image_file.name}"
         return hashlib.sha256(backbone.fingerprint.encode() + disturbed.encode() + content).hexdigest()
 
-    def load(self, key: str) -> npt.NDArray[np.float16] | None:
-        """The cached vector, or None if it is missing or damaged."""
+    def load(self, key: str, kind: str = "features") -> AnyArray | None:
+        """The cached array, or None; a file that is damaged or another key's is removed."""
         if self.folder is None:
             return None
-        found = cached_arrays(self._path(key), key)
-        return None if found is None else found.get("features")
+        path = self._path(self.folder, key, kind)
+        try:
+            content = path.read_bytes()
+        except OSError:
+            return None
+        with suppress(SafetensorError, KeyError, TypeError, ValueError, AttributeError):
+            arrays = load_tensors(content)
+            if np.array_equal(arrays[_DIGEST], _digest(key, kind, arrays[kind])):
+                return arrays[kind]
+        with suppress(OSError):
+            path.unlink()
+        return None
 
-    def store(self, key: str, vector: npt.NDArray[np.float16]) -> None:
-        """Cache a vector, atomically."""
+    def store(self, key: str, array: AnyArray, kind: str = "features") -> None:
+        """Cache an array, atomically."""
         if self.folder is not None:
-            cache_arrays(self._path(key), key, {"features": vector})
+            content = save_tensors({kind: array, _DIGEST: _digest(key, kind, array)})
+            write_whole(self._path(self.folder, key, kind), content)
 
-    def _path(self, key: str) -> Path:
-        assert self.folder is not None
-        return self.folder / key[:2] / f"{key}.safetensors"
+    @staticmethod
+    def _path(folder: Path, key: str, kind: str) -> Path:
+        return folder / kind / key[:2] / f"{key}.safetensors"
+
+
+def _digest(key: str, kind: str, array: AnyArray) -> UInt8Array:
+    digest = hashlib.blake2b(key.encode(), digest_size=16)
+    digest.update(f"{kind} {array.dtype} {array.shape}".encode())
+    digest.update(np.ascontiguousarray(array).tobytes())
+    return np.frombuffer(digest.digest(), dtype=np.uint8)
 
 
 def extract_features(
@@ -63,42 +91,41 @@ def extract_features(
 
     Values are rounded to float16 whether cached or not, so that both give the same numbers.
     """
-    out: Float32Array | None = None
-    done = 0
+    vectors: list[npt.NDArray[np.float16]] = []
+    batches = [image_files[a : a + _BATCH] for a in range(0, len(image_files), _BATCH)]
     with ThreadPoolExecutor(max_workers=2) as pool:  # decode ahead while the network is busy
-        batches = [range(a, min(a + _BATCH, len(image_files))) for a in range(0, len(image_files), _BATCH)]
-        ahead = [pool.submit(_load_batch, image_files, b, backbone, cache, noise) for b in batches[:3]]
-        for number, batch in enumerate(batches):
-            keys, vectors, images = ahead.pop(0).result()
-            if number + 3 < len(batches):
-                ahead.append(pool.submit(_load_batch, image_files, batches[number + 3], backbone, cache, noise))
-            if images:
-                fresh = backbone.describe(np.stack(list(images.values())))
-                for i, vector in zip(images, fresh, strict=True):
-                    vectors[i] = vector
-                    cache.store(keys[i], vector)
-            for i in batch:
-                if out is None:
-                    out = np.empty((len(image_files), vectors[i].size), dtype=np.float32)
-                out[i] = vectors[i]
-            done += len(batch)
+        ahead = [pool.submit(_load_batch, files, backbone, cache, noise) for files in batches[:_AHEAD]]
+        for number in range(len(batches)):
+            batch = ahead.pop(0).result()
+            if number + _AHEAD < len(batches):
+                ahead.append(pool.submit(_load_batch, batches[number + _AHEAD], backbone, cache, noise))
+            if batch.images:
+                described = backbone.describe(np.stack(list(batch.images.values())))
+                for i, vector in zip(batch.images, described, strict=True):
+                    batch.vectors[i] = vector
+                    cache.store(batch.keys[i], vector)
+            vectors += [batch.vectors[i] for i in range(len(batch.keys))]
             if progress is not None:
-                progress(done, len(image_files))
-    return out if out is not None else np.empty((0, 0), dtype=np.float32)
+                progress(len(vectors), len(image_files))
+    return np.array(vectors, dtype=np.float32) if vectors else np.empty((0, 0), dtype=np.float32)
 
 
-def _load_batch(
-    files: Sequence[Path], batch: range, backbone: Backbone, cache: FeatureCache, noise: ImageChange | None
-) -> tuple[dict[int, str], dict[int, npt.NDArray[np.float16]], dict[int, UInt8Array]]:
-    keys: dict[int, str] = {}
-    vectors: dict[int, npt.NDArray[np.float16]] = {}
-    images: dict[int, UInt8Array] = {}
-    for i in batch:
-        keys[i] = cache.key(backbone, files[i], noise)
-        cached = cache.load(keys[i])
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Cached vectors of some files, and prepared images of the others, by their number in the batch."""
+
+    keys: list[str]
+    vectors: dict[int, npt.NDArray[np.float16]]
+    images: dict[int, UInt8Array]
+
+
+def _load_batch(files: Sequence[Path], backbone: Backbone, cache: FeatureCache, noise: ImageChange | None) -> _Batch:
+    batch = _Batch([cache.key(backbone, file, noise) for file in files], {}, {})
+    for i, (file, key) in enumerate(zip(files, batch.keys, strict=True)):
+        cached = cache.load(key)
         if cached is None:
-            image = read_image(files[i])
-            images[i] = backbone.prepare(image if noise is None else noise.apply(image, files[i].name))
+            image = read_image(file)
+            batch.images[i] = backbone.prepare(image if noise is None else noise.apply(image, file.name))
         else:
-            vectors[i] = cached
-    return keys, vectors, images
+            batch.vectors[i] = cached
+    return batch

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
-from io import BytesIO
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -17,12 +13,9 @@ from torch import nn
 from conformodal.core.arrays import Float32Array, FloatArray, RealArray
 from conformodal.core.progress import Progress
 
-from .cache import cache_arrays, cached_arrays
 from .head import SoftmaxHead
 from .projection import Projection, fit_projection
 from .settings import TrainingConfig, VisionError
-
-_STATE_EVERY_EPOCHS = 10
 
 
 class _Dropout(nn.Module):
@@ -134,18 +127,11 @@ def fit_head(
     config: TrainingConfig,
     *,
     projection: Projection | None = None,
-    checkpoint_dir: Path | None = None,
     progress: Progress | None = None,
 ) -> Head:
     """Train a head on features (n, F) and targets (n, p), in the form that the loss takes.
 
-    Parameters
-    ----------
-    projection
-        Of these features; fitted by default. Heads of the same samples can share one.
-    checkpoint_dir
-        Where the state is saved every ten epochs, and removed when training ends. The same training continues there
-        after an interruption, and gives the same head.
+    `projection` is that of these features, by default fitted; heads of the same samples can share one.
     """
     x = torch.from_numpy(np.ascontiguousarray(features, dtype=np.float32))
     y = torch.from_numpy(np.ascontiguousarray(targets, dtype=np.float32))
@@ -158,18 +144,12 @@ def fit_head(
         head = Head(through, outputs, config.hidden, config.dropout, input_dropout)
         projected = head.project(x)  # once, by all threads
         with _one_thread():
-            _train(head, projected, y, loss, config, checkpoint_dir, progress)
+            _train(head, projected, y, loss, config, progress)
     return head.eval()
 
 
 def _train(
-    head: Head,
-    x: torch.Tensor,
-    y: torch.Tensor,
-    loss: Loss,
-    config: TrainingConfig,
-    checkpoint_dir: Path | None,
-    progress: Progress | None,
+    head: Head, x: torch.Tensor, y: torch.Tensor, loss: Loss, config: TrainingConfig, progress: Progress | None
 ) -> None:
     """Fit a head in place to projected samples (n, k) and targets."""
     size = min(config.batch_size, len(x))
@@ -178,41 +158,16 @@ def _train(
     rate = config.learning_rate
     optimizer = torch.optim.AdamW(head.parameters(), lr=rate, weight_decay=config.weight_decay, fused=True)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, max_lr=rate, total_steps=n_steps, pct_start=rise)
-    key = _digest(head, x, y, loss, config)
-    file = None if checkpoint_dir is None else checkpoint_dir / f"{key}.safetensors"
-    start = 0
-    if file is not None and (saved := cached_arrays(file, key)) is not None:
-        state = torch.load(BytesIO(saved["state"].tobytes()), weights_only=True)
-        start = state["epochs"]
-        for part, name in ((head, "head"), (optimizer, "optimizer"), (schedule, "schedule")):
-            part.load_state_dict(state[name])
-        torch.set_rng_state(state["random"])
-    for epoch in range(start, config.epochs):
+    for epoch in range(config.epochs):
         torch.empty((), dtype=torch.int64).random_()  # a DataLoader drew it once: seeds still give the same heads
-        # the order is of seed and epoch alone; all other random numbers follow from the state
         order = np.random.default_rng((config.seed, epoch)).permutation(len(x))
         for rows in torch.split(torch.from_numpy(order), size):
             optimizer.zero_grad()
             torch.autograd.backward(loss(head, head.answer(x[rows]), y[rows]))
             optimizer.step()
             schedule.step()
-        if file is not None and (epoch + 1) % _STATE_EVERY_EPOCHS == 0:
-            state = {"epochs": epoch + 1, "head": head.state_dict(), "optimizer": optimizer.state_dict()}
-            state |= {"schedule": schedule.state_dict(), "random": torch.get_rng_state()}
-            torch.save(state, content := BytesIO())
-            cache_arrays(file, key, {"state": np.frombuffer(content.getvalue(), np.uint8)})
         if progress is not None:
             progress(epoch + 1, config.epochs)
-    if file is not None:
-        file.unlink(missing_ok=True)
-
-
-def _digest(head: Head, x: torch.Tensor, y: torch.Tensor, loss: Loss, config: TrainingConfig) -> str:
-    settings = (torch.__version__, sorted(asdict(config).items()), head.outputs)
-    digest = hashlib.sha256(repr((*settings, loss.__qualname__, type(head).__qualname__)).encode())
-    digest.update(x.numpy().tobytes())
-    digest.update(y.numpy().tobytes())
-    return digest.hexdigest()[:32]
 
 
 @contextmanager

@@ -1,8 +1,9 @@
-"""Local features of an image, ORB (Rublee et al. 2011), and its global descriptor for retrieval."""
+"""Local features of an image by name, and its global descriptor for retrieval."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -42,10 +43,19 @@ class LocalFeatures(NamedTuple):
         return self._replace(pixels=at_pose_time(self.pixels, self.flows, shutter, camera))
 
 
-def extract_local_features(image: UInt8Array, camera: PinholeCamera) -> LocalFeatures:
-    """Local features and global descriptor of an image (height, width[, 3])."""
-    grey = grey_image(image)
-    picture, quality = thumbnail(grey), image_quality(grey)
+class Corners(NamedTuple):
+    """What a detector finds in an image."""
+
+    pixels: FloatArray  # (n, 2)
+    descriptors: UInt8Array  # (n, 32)
+
+
+# from a grey image (height, width)
+Detector: TypeAlias = Callable[[UInt8Array], Corners]
+
+
+def detect_orb(grey: UInt8Array) -> Corners:
+    """ORB (Rublee et al. 2011), in small images enlarged."""
     enlarged = -(-LOCAL_FEATURES.least_width_px // grey.shape[1])
     if enlarged > 1:
         grey = np.asarray(cv2.resize(grey, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_LINEAR), np.uint8)
@@ -54,10 +64,20 @@ def extract_local_features(image: UInt8Array, camera: PinholeCamera) -> LocalFea
         LOCAL_FEATURES.max_corners, 1.2, LOCAL_FEATURES.levels, edgeThreshold=16, fastThreshold=5
     ).detectAndCompute(grey, None)
     if descriptors is None:
-        return LocalFeatures(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES), np.uint8), picture, quality)
+        return Corners(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES), np.uint8))
     # pixel centres are whole numbers, so that enlarging moves them by half a pixel
-    pixels = (np.array([c.pt for c in corners]) + 0.5) / enlarged - 0.5
-    return LocalFeatures(undistort(pixels, camera), np.asarray(descriptors, np.uint8), picture, quality)
+    pixels = (np.array([corner.pt for corner in corners]) + 0.5) / enlarged - 0.5
+    return Corners(pixels, np.asarray(descriptors, np.uint8))
+
+
+DETECTORS: dict[str, Detector] = {"orb": detect_orb}
+
+
+def extract_local_features(image: UInt8Array, camera: PinholeCamera, detector: str = "orb") -> LocalFeatures:
+    """Local features, of one of :data:`DETECTORS`, and global descriptor of an image (height, width[, 3])."""
+    grey = grey_image(image)
+    corners = DETECTORS[detector](grey)
+    return LocalFeatures(undistort(corners.pixels, camera), corners.descriptors, thumbnail(grey), image_quality(grey))
 
 
 def match(descriptors: UInt8Array, others: UInt8Array) -> IntArray:

@@ -8,6 +8,7 @@ from conformodal.core.errors import ConformodalError
 from conformodal.core.ranges import check_ranges
 
 DEVICES = ("auto", "cpu", "cuda")
+HUB_PREFIX = "hf:"  # of the names of models of transformers
 
 
 class VisionError(ConformodalError):

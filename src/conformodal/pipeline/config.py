@@ -12,7 +12,7 @@ from conformodal.conformal.calibration.joint import as_joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import resolve_score
 from conformodal.core.ranges import as_member, check_ranges, check_shares
-from conformodal.features.networks.lite import check_network
+from conformodal.features.networks.registry import check_network
 from conformodal.features.settings import TrainingConfig, check_device
 from conformodal.io import SplitKind
 from conformodal.localizer.sources.registry import find_source
@@ -78,7 +78,7 @@ class ModelConfig:
         Names of pose sources, in the order in which they are fused, see
         :class:`~conformodal.localizer.sources.registry.PoseSource`.
     network
-        Of :data:`~conformodal.features.networks.lite.NETWORKS`, or ``hf:NAME``.
+        Of :data:`~conformodal.features.networks.registry.NETWORKS`, or ``hf:NAME``.
     device
         Of the network, in training: ``cpu``, ``cuda``, or ``auto``.
     runtime

@@ -25,9 +25,8 @@ from conformodal.core.arrays import AnyArray
 from conformodal.core.extras import MissingPackageError, require_extra
 from conformodal.core.files import write_whole
 from conformodal.core.words import finite_or_none
-from conformodal.features.backbone import Backbone, BackboneConfig
+from conformodal.features.backbone import Backbone, BackboneConfig, OnnxBackbone
 from conformodal.features.image_quality import QualityRange
-from conformodal.features.onnx_backbone import OnnxBackbone
 from conformodal.geometry import PinholeCamera
 from conformodal.io import Split
 from conformodal.localizer.localizer import Localizer

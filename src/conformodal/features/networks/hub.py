@@ -15,9 +15,9 @@ import torch
 from torch import nn
 
 from conformodal.core.extras import require_extra
-from conformodal.features.settings import VisionError
+from conformodal.features.settings import HUB_PREFIX, VisionError
 
-from .lite import PREFIX
+from .network import LoadedLayers
 
 _STRIDE = 16
 
@@ -33,14 +33,14 @@ class HubNetwork:
         """Hidden state to take: the last with as many channels as the first at a sixteenth of the resolution."""
         return _default_block(self.model)
 
-    def load(self, block: int | None) -> tuple[list[nn.Module], tuple[float, ...], tuple[float, ...], bytes]:
-        """Layers up to a hidden state, or all; mean and scale of pixels in 0 to 255, and a digest of the weights."""
+    def load(self, block: int | None) -> LoadedLayers:
+        """Layers up to a hidden state; None for all."""
         loaded, mean, scale = _load(self.model)
         digest = hashlib.sha256()
         for name, tensor in sorted(loaded.state_dict().items()):
             digest.update(name.encode())
             digest.update(tensor.contiguous().numpy().tobytes())
-        return [_HiddenState(loaded, block)], mean, scale, digest.digest()
+        return LoadedLayers([_HiddenState(loaded, block)], mean, scale, digest.digest())
 
 
 class _HiddenState(nn.Module):
@@ -58,12 +58,12 @@ class _HiddenState(nn.Module):
         states = self.model(pixel_values=x, output_hidden_states=True).hidden_states
         if not 0 <= self.block < len(states):
             raise VisionError(f"block must be 0 to {len(states) - 1}, got {self.block}")
-        found: torch.Tensor = states[self.block]
-        return found
+        state: torch.Tensor = states[self.block]
+        return state
 
 
 def _load(name: str) -> tuple[Any, tuple[float, ...], tuple[float, ...]]:
-    with require_extra("hub", f"{PREFIX}{name}"):
+    with require_extra("hub", f"{HUB_PREFIX}{name}"):
         from transformers import AutoImageProcessor, AutoModel  # noqa: PLC0415 - heavy, and an extra
         from transformers.utils.logging import disable_progress_bar  # noqa: PLC0415
     disable_progress_bar()
@@ -73,7 +73,7 @@ def _load(name: str) -> tuple[Any, tuple[float, ...], tuple[float, ...]]:
         model = AutoModel.from_pretrained(name, use_safetensors=True, **safe)
     except (OSError, ValueError, KeyError, ImportError) as exc:
         raise VisionError(
-            f"{PREFIX}{name}: no such model on this machine (fetch it with: hf download {name}): "
+            f"{HUB_PREFIX}{name}: no such model on this machine (fetch it with: hf download {name}): "
             f"{type(exc).__name__}: {str(exc).splitlines()[0]}"
         ) from exc
     mean, std = processor.image_mean, processor.image_std
@@ -87,7 +87,7 @@ def _default_block(name: str) -> int:
     with torch.inference_mode():
         states = model(pixel_values=torch.zeros(1, 3, side, side), output_hidden_states=True).hidden_states
     if states is None or states[-1].ndim != 4:
-        raise VisionError(f"{PREFIX}{name}: gives no maps (n, channels, h, w)")
+        raise VisionError(f"{HUB_PREFIX}{name}: gives no maps (n, channels, h, w)")
     at = [k for k, state in enumerate(states) if state.shape[-1] == side // _STRIDE]
     if not at:
         return len(states) - 1

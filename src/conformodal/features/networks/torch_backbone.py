@@ -17,7 +17,7 @@ from conformodal.features.backbone import Backbone, BackboneConfig
 from conformodal.features.settings import VisionError, check_device
 from conformodal.io import THUMBNAIL
 
-from .lite import find_network
+from .registry import find_network
 
 # Images are not enlarged, and reduced to at most this width.
 _MAX_WIDTH = 320
@@ -63,11 +63,11 @@ class TorchBackbone(Backbone, nn.Module):
     def __init__(self, config: BackboneConfig) -> None:
         nn.Module.__init__(self)
         self.config = config
-        layers, mean, scale, identity = find_network(config.name).load(config.block)
-        self._identity = hashlib.sha256(identity).digest()
-        self.register_buffer("pixel_mean", torch.tensor(mean).reshape(1, -1, 1, 1))
-        self.register_buffer("pixel_scale", torch.tensor(scale).reshape(1, -1, 1, 1))
-        self.layers = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(config.grid))
+        network = find_network(config.name).load(config.block)
+        self._identity = hashlib.sha256(network.identity).digest()
+        self.register_buffer("pixel_mean", torch.tensor(network.pixel_mean).reshape(1, -1, 1, 1))
+        self.register_buffer("pixel_scale", torch.tensor(network.pixel_scale).reshape(1, -1, 1, 1))
+        self.layers = nn.Sequential(*network.layers, nn.AdaptiveAvgPool2d(config.grid))
         self.eval().requires_grad_(False)
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
