@@ -184,7 +184,8 @@ def package_page(name: str) -> str:
 
 def reference_page() -> str:
     """The names of the top package with their first sentences, then all packages."""
-    where = {n: name for name in packages() for n in exported(SOURCE / name) or defined(name)}
+    where = {n: name for name in packages() for n in defined(name)}
+    where |= {n: name for name in packages() for n in exported(SOURCE / name)}
     lines = ["# Reference", "", "`import conformodal as cm` has the names that most programs need.", ""]
     lines += ["| name | what |", "| --- | --- |"]
     top = sorted(exported(SOURCE), key=lambda n: (n.endswith("Error"), n not in MAIN, packages().index(where[n]), n))
