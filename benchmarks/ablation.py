@@ -136,30 +136,30 @@ def spaced(times: FloatArray, frames: IntArray, interval_s: float) -> IntArray:
 # ---- paths
 
 
-def smoothed(seen: Observations, prior: MotionPrior, *, hindsight: bool = True) -> PosePath:
+def smoothed(observed: Observations, prior: MotionPrior, *, hindsight: bool = True) -> PosePath:
     """The path of the complete system."""
-    return smooth(own_hypotheses(filtered_path(seen, prior, hindsight=hindsight), seen, prior), seen, prior)
+    return smooth(own_hypotheses(filtered_path(observed, prior, hindsight=hindsight), observed, prior), observed, prior)
 
 
-def frame_by_frame(seen: Observations, prior: MotionPrior) -> PosePath:
+def frame_by_frame(observed: Observations, prior: MotionPrior) -> PosePath:
     """The most probable hypothesis of each image alone, smoothed."""
-    best = [int(np.argmax(each.log_mass)) for each in seen.candidates]
-    chosen = PosePath.choose(seen.candidates, seen.timestamps_s, best)
-    return smooth(own_hypotheses(chosen, seen, prior), seen, prior)
+    best = [int(np.argmax(each.log_mass)) for each in observed.candidates]
+    chosen = PosePath.choose(observed.candidates, observed.timestamps_s, best)
+    return smooth(own_hypotheses(chosen, observed, prior), observed, prior)
 
 
 PARTS: dict[str, Callable[[Observations, MotionPrior], PosePath]] = {  # by what is left out
-    "submaps": lambda seen, prior: smoothed(replace(seen, submaps=()), prior),
-    "relative rotations and submaps": lambda seen, prior: smoothed(without_rotations(seen), prior),
-    "limits on speed and turning": lambda seen, prior: smoothed(seen, without_limits(prior)),
-    "motion": lambda seen, prior: smoothed(without_rotations(seen), without_limits(prior)),
+    "submaps": lambda observed, prior: smoothed(replace(observed, submaps=()), prior),
+    "relative rotations and submaps": lambda observed, prior: smoothed(without_rotations(observed), prior),
+    "limits on speed and turning": lambda observed, prior: smoothed(observed, without_limits(prior)),
+    "motion": lambda observed, prior: smoothed(without_rotations(observed), without_limits(prior)),
     "the filter (each frame's most probable hypothesis)": frame_by_frame,
-    "later frames in the filter": lambda seen, prior: smoothed(seen, prior, hindsight=False),
+    "later frames in the filter": lambda observed, prior: smoothed(observed, prior, hindsight=False),
     "the smoother": filtered_path,
 }
 
 
-def observed(run: OdometryRun) -> Observations:
+def observations_of(run: OdometryRun) -> Observations:
     """What reasoning over the frames of a run is given."""
     return run.observations(np.arange(len(run.frames)))
 
@@ -187,9 +187,13 @@ def measured(place: str, seed: int, runs: Path) -> dict[str, Any]:
         for name in names:
             model = models.trained(name)
             run = models.run(model, seconds)
-            errors[name] = models.error(run, run.trajectory if name == PAPER else smoothed(observed(run), model.prior))
+            errors[name] = models.error(
+                run, run.trajectory if name == PAPER else smoothed(observations_of(run), model.prior)
+            )
             if name == OURS:
-                errors |= {part: models.error(run, path(observed(run), model.prior)) for part, path in PARTS.items()}
+                errors |= {
+                    part: models.error(run, path(observations_of(run), model.prior)) for part, path in PARTS.items()
+                }
             if not seconds:
                 numbers["regions"][name] = region_numbers(models, run, model)
         numbers[interval] = {"frames": len(run.frames), "errors": errors}

@@ -93,19 +93,19 @@ def without_limits(prior: MotionPrior) -> MotionPrior:
     return replace(prior, turn_rate_rad_s=UNLIMITED, top_speed_mps=speeds)
 
 
-def without_rotations(seen: Observations) -> Observations:
+def without_rotations(observed: Observations) -> Observations:
     """Observations whose relative rotations are not known; submaps, which rest on them, are left out too."""
 
     def unturned(motion: RelativeMotion | None) -> RelativeMotion | None:
         return None if motion is None else replace(motion, R_prev_next=None, rotation_sigma_rad=np.inf)
 
-    return replace(seen, motions=[unturned(motion) for motion in seen.motions], submaps=())
+    return replace(observed, motions=[unturned(motion) for motion in observed.motions], submaps=())
 
 
-def filtered_path(seen: Observations, prior: MotionPrior, *, hindsight: bool = True) -> PosePath:
+def filtered_path(observed: Observations, prior: MotionPrior, *, hindsight: bool = True) -> PosePath:
     """The most probable places given all frames, or the frames up to each."""
-    posteriors = (hindsight_posteriors if hindsight else filter_posteriors)(seen, prior)
-    path, _ = choose_places(posteriors, seen.timestamps_s, prior)
+    posteriors = (hindsight_posteriors if hindsight else filter_posteriors)(observed, prior)
+    path, _ = choose_places(posteriors, observed.timestamps_s, prior)
     return path
 
 

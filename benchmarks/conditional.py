@@ -66,7 +66,7 @@ def measured(name: str, seed: int) -> dict[str, dict[str, Any]]:
         METHODS[1]: MondrianConformal(*how).calibrate(proba_cal, y[cal], labels[cal]).predict(proba, labels[test]),
         METHODS[2]: ConditionalConformal(*how).calibrate(proba_cal, y[cal], groups[cal]).predict(proba, groups[test]),
     }
-    return {method: described(its, y[test], groups[test], y[train].std()) for method, its in regions.items()}
+    return {method: described(each, y[test], groups[test], y[train].std()) for method, each in regions.items()}
 
 
 def described(regions: Regions, y: FloatArray, groups: BoolArray, spread: float) -> dict[str, Any]:
@@ -85,9 +85,11 @@ def main() -> None:
     for name in TABLES:
         runs = [measured(name, seed) for seed in SEEDS]
         for method in METHODS:
-            its = [run[method] for run in runs]
-            by_group = sorted((list(each) for each in zip(*(run["by_group"] for run in its), strict=True)), key=np.mean)
-            every, length, unbounded = ([run[key] for run in its] for key in ("all", "length", "unbounded"))
+            results = [run[method] for run in runs]
+            by_group = sorted(
+                (list(each) for each in zip(*(run["by_group"] for run in results), strict=True)), key=np.mean
+            )
+            every, length, unbounded = ([run[key] for run in results] for key in ("all", "length", "unbounded"))
             shown = [every, by_group[0], by_group[-1], length, unbounded]
             rows.append([name, str(len(by_group)), method, *(mean_interval(values, 3) for values in shown)])
     notes = (

@@ -51,15 +51,15 @@ def measured(name: str, learner: str, most_rows: int, seed: int) -> dict[str, tu
         for part, index in (("cal", cal), ("test", test)):
             proba[part].append(proba_of_bins(model, X[index], edges.size - 1))
     spread = np.where(Y[train].std(axis=0) > 0, Y[train].std(axis=0), Y.std(axis=0))  # a rare label may be in no row
-    found = {}
+    numbers = {}
     for rule in RULES:
         sets = SplitConformal(bins, ALPHA, "density", rule)
         sets.fit_scale(proba["unseen"], Y[train[: len(proba["unseen"][0])]])
         regions = sets.calibrate(proba["cal"], Y[cal]).predict(proba["test"])
         inside = regions.contains(Y[test])
         side = np.log(np.maximum(regions.length / spread, 1e-3)).mean()
-        found[rule] = float(inside.mean()), float(inside.all(axis=1).mean()), float(np.exp(side))
-    return found
+        numbers[rule] = float(inside.mean()), float(inside.all(axis=1).mean()), float(np.exp(side))
+    return numbers
 
 
 def main() -> None:

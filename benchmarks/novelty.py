@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from common import parser_of, write_table
-from unseen import ALPHA, corridor_flights
+from unseen import ALPHA, KNOWN, corridor_flights
 
 from conformodal.core.files import default_cache_dir
 from conformodal.features.extract import FeatureCache, extract_features
@@ -29,23 +29,23 @@ def p_values(seed: int, cache: FeatureCache, scratch: Path) -> dict[str, np.ndar
     data = prepare_training_data(sequence, ModelConfig(seed=seed, alpha=ALPHA), cache)
     folds = make_folds(sequence, data.split)
     frames = folds.region_frames
-    known = PlaceNovelty.fit(data.features[frames], folds.pieces[frames], data.backbone.config.grid)
-    assert known is not None
-    found = {"known place: the test part": known.p_values(data.features[data.split.test])}
+    novelty = PlaceNovelty.fit(data.features[frames], folds.pieces[frames], data.backbone.config.grid)
+    assert novelty is not None
+    by_flight = {KNOWN: novelty.p_values(data.features[data.split.test])}
     for name, flight in flights.items():
-        found[name] = known.p_values(extract_features(flight.image_paths, data.backbone, cache))
-    return found
+        by_flight[name] = novelty.p_values(extract_features(flight.image_paths, data.backbone, cache))
+    return by_flight
 
 
 def main() -> None:
     parser_of(__doc__).parse_args()
-    cache, found = FeatureCache(default_cache_dir()), []
+    cache, results = FeatureCache(default_cache_dir()), []
     for seed in SEEDS:
         with tempfile.TemporaryDirectory() as scratch:
-            found.append(p_values(seed, cache, Path(scratch)))
+            results.append(p_values(seed, cache, Path(scratch)))
     rows = []
-    for name in found[0]:
-        shares = [[np.mean(each[name] <= level) for each in found] for level in LEVELS]
+    for name in results[0]:
+        shares = [[np.mean(each[name] <= level) for each in results] for level in LEVELS]
         cells = [f"{np.mean(share):.3f} ({min(share):.2f} to {max(share):.2f})" for share in shares]
         rows.append([name, *cells])
     note = (

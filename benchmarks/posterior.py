@@ -55,10 +55,10 @@ def lagged(models: Models, model: PoseModel, run: OdometryRun) -> dict[str, floa
     """Errors and regions of the frames that as many frames follow as the lag of a stream."""
     rows, posteriors, positions = [], [], []
     for at in rows_by_label(models.sequence.recording[run.frames]):
-        seen = run.observations(at)
-        forward = filter_posteriors(seen, model.prior)
+        observed = run.observations(at)
+        forward = filter_posteriors(observed, model.prior)
         parts = [slice(k, k + FILTER.lag + 1) for k in range(len(at) - FILTER.lag)]
-        first = [Window(seen.part(part), forward[part]).first(model.prior) for part in parts]
+        first = [Window(observed.part(part), forward[part]).first(model.prior) for part in parts]
         best, _ = choose_places(first, run.timestamps_s[at[: len(first)]], model.prior)
         rows.append(at[: len(first)])
         posteriors += first

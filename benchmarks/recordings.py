@@ -44,9 +44,9 @@ MOST_ASKED = 100  # images that the peer answers, evenly spread
 
 def _sequences(source: str, target: str) -> tuple[Recording, Recording, BoolArray]:
     """Both recordings, and which posed frames of the second lie near a frame of the first."""
-    known, new = (read_recording(DATA / "tum" / name) for name in (source, target))
-    near = near_known(new.poses, known.require_truth(), NEAR_M, NEAR_RAD)
-    return known, new, near
+    mapped, new = (read_recording(DATA / "tum" / name) for name in (source, target))
+    near = near_known(new.poses, mapped.require_truth(), NEAR_M, NEAR_RAD)
+    return mapped, new, near
 
 
 def measured(source: str, target: str, seed: int, runs: Path, method: Method) -> dict[str, dict[str, float]]:
@@ -55,26 +55,26 @@ def measured(source: str, target: str, seed: int, runs: Path, method: Method) ->
     The paper's system is calibrated as the paper says: on random frames of the training recording.
     """
     folder = runs / f"{source}-{seed}-{method}"
-    known, new, near = _sequences(source, target)
+    mapped, new, near = _sequences(source, target)
     if not (folder / "model.json").is_file():
         make = ModelConfig.paper if method is Method.PAPER else ModelConfig
         config, began = make(split=SplitKind.BLOCKS, seed=seed, alpha=ALPHA), time.process_time()
-        save_model(train_model(prepare_training_data(known, config, FeatureCache(None)), config), folder)
+        save_model(train_model(prepare_training_data(mapped, config, FeatureCache(None)), config), folder)
         folder.with_suffix(".seconds").write_text(f"{time.process_time() - began}")
     model, answered = load_model(folder), new.posed
     run = odometry_of(model).process(new, answered)
     truth, near = new.poses[np.searchsorted(answered, run.frames)], near[np.searchsorted(answered, run.frames)]
-    targets, found, drawn = pose_targets(truth, model.sign_reference), {}, {}
+    targets, numbers, drawn = pose_targets(truth, model.sign_reference), {}, {}
     regions = {"image alone": run.regions, **run.path_regions}
-    alone = np.array([its.positions_xyz[np.argmax(its.log_mass)] for its in run.candidates])
+    alone = np.array([each.positions_xyz[np.argmax(each.log_mass)] for each in run.candidates])
     for name, positions in {"image alone": alone, **{k: t.positions_xyz for k, t in run.trajectories.items()}}.items():
         off = np.linalg.norm(positions - truth.positions_xyz, axis=1)[near]
-        found[name] = _errors(off)
+        numbers[name] = _errors(off)
         if name in regions:
             bounded = ~regions[name].unbounded.any(axis=1) & near
             held, each = regions[name].contains(targets, joint=True), regions[name].contains(targets)
             lengths = regions[name].length[:, :3].mean(axis=1)
-            found[name] |= {
+            numbers[name] |= {
                 "unbounded": float(1 - bounded.sum() / near.sum()),
                 "coverage": float(held[bounded].mean()),
                 "length_m": float(np.median(lengths[bounded])),
@@ -82,14 +82,14 @@ def measured(source: str, target: str, seed: int, runs: Path, method: Method) ->
                 "position_held": float(each[bounded, :3].all(axis=1).mean()),
             }
             drawn[name] = {"off_m": off.tolist(), "length_m": np.where(bounded, lengths, np.nan)[near].tolist()}
-    found[run.answer]["reliable"] = float(run.reliable[near].mean())
+    numbers[run.answer]["reliable"] = float(run.reliable[near].mean())
     (runs / f"{target}-{method}.json").write_text(json.dumps(drawn))
     costs = {
         "ms": _ms_per_frame(model, new, run, near),
         "map_s": float(folder.with_suffix(".seconds").read_text()),
         "mb": sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e6,
     }
-    return found | {"frames": {"near": int(near.sum()), "all": len(near)}, "costs": costs}
+    return numbers | {"frames": {"near": int(near.sum()), "all": len(near)}, "costs": costs}
 
 
 def _errors(off: FloatArray) -> dict[str, float]:
@@ -114,15 +114,15 @@ def measured_peer(source: str, target: str, runs: Path) -> dict[str, dict[str, f
     """The same numbers of pycolmap on the same frames; its errors are those of the images that it localises."""
     from recordings_peer import answers, build_maps  # noqa: PLC0415 - pycolmap
 
-    known, new, near = _sequences(source, target)
+    mapped, new, near = _sequences(source, target)
     rows = np.flatnonzero(near)
     rows = rows[:: -(-len(rows) // MOST_ASKED)]
-    maps, found, drawn = build_maps(known, runs / f"{source}-pycolmap"), {}, {}
+    maps, numbers, drawn = build_maps(mapped, runs / f"{source}-pycolmap"), {}, {}
     for name, answer in answers(maps, new, new.posed[rows]).items():
         error, ok = answer.positions_xyz - new.poses.positions_xyz[rows], np.isfinite(answer.positions_xyz[:, 0])
         inverse, bound = np.linalg.inv(answer.covariances[ok]), chi2.ppf(1 - ALPHA, 3)
         lengths = 2 * np.sqrt(bound * np.einsum("naa->na", answer.covariances)).mean(axis=1)
-        found[name] = _errors(np.linalg.norm(error[ok], axis=1)) | {
+        numbers[name] = _errors(np.linalg.norm(error[ok], axis=1)) | {
             "localised": float(ok.mean()),
             "position_held": float(np.mean(np.einsum("na,nab,nb->n", error[ok], inverse, error[ok]) < bound)),
             "length_m": float(np.median(lengths[ok])),
@@ -132,7 +132,7 @@ def measured_peer(source: str, target: str, runs: Path) -> dict[str, dict[str, f
         }
         drawn[name] = {"off_m": np.linalg.norm(error, axis=1).tolist(), "length_m": lengths.tolist()}
     (runs / f"{target}-pycolmap.json").write_text(json.dumps(drawn))
-    return found
+    return numbers
 
 
 def draw(runs: Path) -> None:
@@ -166,21 +166,21 @@ def main() -> None:
     digits = {"rmse_m": 4, "median_m": 4, "ms": 0, "map_s": 0, "mb": 1}
     rows, peers = [], []
 
-    def numbers(row: dict[str, float], names: tuple[str, ...]) -> list[str]:
+    def cells(row: dict[str, float], names: tuple[str, ...]) -> list[str]:
         return [f"{row[key]:.{digits.get(key, 3)}f}" if key in row else "" for key in names]
 
     for source, target in PAIRS:
         for method, system in SYSTEMS.items():
             file = RESULTS / "recordings" / f"{source}-{options.seed}-{method}.json"
-            found = cached_json(file, partial(measured, source, target, options.seed, options.runs, method))
-            frames, costs = found.pop("frames"), found.pop("costs", {})
+            results = cached_json(file, partial(measured, source, target, options.seed, options.runs, method))
+            frames, costs = results.pop("frames"), results.pop("costs", {})
             shown = f"{target} from {source}, {frames['near']} of {frames['all']} frames"
-            rows += [[shown, system, name, *numbers(row, columns)] for name, row in found.items()]
+            rows += [[shown, system, name, *cells(row, columns)] for name, row in results.items()]
             if method is Method.CONFORMODAL:
-                peers += [[shown, f"ours, {name}", *numbers(row | costs, beside)] for name, row in found.items()]
+                peers += [[shown, f"ours, {name}", *cells(row | costs, beside)] for name, row in results.items()]
         file = RESULTS / "recordings" / f"{source}-pycolmap.json"
-        found = cached_json(file, partial(measured_peer, source, target, options.runs))
-        peers += [[shown, PEERS[name], *numbers(row, beside)] for name, row in found.items()]
+        results = cached_json(file, partial(measured_peer, source, target, options.runs))
+        peers += [[shown, PEERS[name], *cells(row, beside)] for name, row in results.items()]
     note = (
         f"Frames with a known view within {NEAR_M} m and 30 degrees. Split `blocks`, seed {options.seed}, "
         f"alpha {ALPHA}: stretches of the mapped recording calibrate, so nothing is guaranteed for another recording. "

@@ -57,21 +57,21 @@ class PeerAnswers(NamedTuple):
     ms: FloatArray  # (m,) without reading the image
 
 
-def build_maps(known: Recording, folder: Path) -> dict[str, PeerMap]:
+def build_maps(mapped: Recording, folder: Path) -> dict[str, PeerMap]:
     """Maps of a recording with the given poses, and with refined ones; kept in a folder."""
     if not (folder / "refined.npz").is_file():
         folder.mkdir(parents=True, exist_ok=True)
-        for name, built in _built(known, folder).items():
+        for name, built in _built(mapped, folder).items():
             np.savez(folder / f"{name}.npz", **built._asdict())
     return {name: PeerMap(**np.load(folder / f"{name}.npz")) for name in ("fixed", "refined")}
 
 
 def answers(maps: dict[str, PeerMap], new: Recording, frames: IntArray) -> dict[str, PeerAnswers]:
     """Localise images of a recording in each of the maps, each image alone."""
-    sift, found = _sift(), {}
+    sift, results = _sift(), {}
     for name in maps:
         n = len(frames)
-        found[name] = PeerAnswers(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros(n))
+        results[name] = PeerAnswers(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros(n))
     for k, i in enumerate(frames.tolist()):
         image = new.image(i)
         began = time.process_time()
@@ -79,11 +79,11 @@ def answers(maps: dict[str, PeerMap], new: Recording, frames: IntArray) -> dict[
         extracting = time.process_time() - began
         for name, peer in maps.items():
             began = time.process_time()
-            its = _localized(peer, _camera(new, peer.focal), features)
-            if its is not None:
-                found[name].positions_xyz[k], found[name].covariances[k] = its
-            found[name].ms[k] = 1e3 * (extracting + time.process_time() - began)
-    return found
+            estimate = _localized(peer, _camera(new, peer.focal), features)
+            if estimate is not None:
+                results[name].positions_xyz[k], results[name].covariances[k] = estimate
+            results[name].ms[k] = 1e3 * (extracting + time.process_time() - began)
+    return results
 
 
 def _sift() -> Any:
@@ -94,16 +94,16 @@ def _sift() -> Any:
 
 
 def _features(sift: Any, image: Any, sequence: Recording) -> Features:
-    keypoints, found = sift.extract_from_uint8_array(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+    keypoints, descriptors = sift.extract_from_uint8_array(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
     pixels = pycolmap.keypoints_to_matrix(keypoints)[:, :2].astype(float) - 0.5  # COLMAP counts from the corner
-    rows = np.asarray(found.data, np.float32)
+    rows = np.asarray(descriptors.data, np.float32)
     return Features(undistort(pixels, sequence.camera), rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
 
 def _camera(sequence: Recording, focal: FloatArray) -> Any:
-    its = sequence.camera
-    parameters = [*focal, its.cx + 0.5, its.cy + 0.5]
-    return pycolmap.Camera(model="PINHOLE", width=its.width, height=its.height, params=parameters, camera_id=1)
+    camera = sequence.camera
+    parameters = [*focal, camera.cx + 0.5, camera.cy + 0.5]
+    return pycolmap.Camera(model="PINHOLE", width=camera.width, height=camera.height, params=parameters, camera_id=1)
 
 
 def _matched(one: FloatArray, other: FloatArray) -> IntArray:
@@ -122,22 +122,22 @@ def _matched(one: FloatArray, other: FloatArray) -> IntArray:
 
 def _pairs(poses_se3: FloatArray) -> list[tuple[int, int]]:
     """Neighbours in time, and those by pose that have parallax."""
-    n, found = len(poses_se3), set()
+    n, pairs = len(poses_se3), set()
     for i, pose in enumerate(poses_se3):
-        found |= {(i, i + step) for step in IN_TIME if i + step < n}
+        pairs |= {(i, i + step) for step in IN_TIME if i + step < n}
         apart = np.linalg.norm(poses_se3[:, :3, 3] - pose[:3, 3], axis=1)
         turned = np.arccos(np.clip(poses_se3[:, :3, 2] @ pose[:3, 2], -1, 1))
         others = np.flatnonzero((apart > APART_M) & (turned < TURNED_RAD))
         best = others[np.argsort(apart[others] + turned[others], kind="stable")[:PAIRED]]
-        found |= {(min(i, j), max(i, j)) for j in best.tolist()}
-    return sorted(found)
+        pairs |= {(min(i, j), max(i, j)) for j in best.tolist()}
+    return sorted(pairs)
 
 
-def _built(known: Recording, folder: Path) -> dict[str, PeerMap]:
-    began, frames = time.process_time(), known.posed[::EVERY]
-    poses_se3 = known.poses.poses_se3[::EVERY]
-    sift, camera = _sift(), _camera(known, np.array([known.camera.fx, known.camera.fy]))
-    features = [_features(sift, known.image(i), known) for i in frames.tolist()]
+def _built(mapped: Recording, folder: Path) -> dict[str, PeerMap]:
+    began, frames = time.process_time(), mapped.posed[::EVERY]
+    poses_se3 = mapped.poses.poses_se3[::EVERY]
+    sift, camera = _sift(), _camera(mapped, np.array([mapped.camera.fx, mapped.camera.fy]))
+    features = [_features(sift, mapped.image(i), mapped) for i in frames.tolist()]
     rough = pycolmap.Reconstruction()
     rough.add_camera_with_trivial_rig(camera)
     (folder / "database.db").unlink(missing_ok=True)
@@ -146,53 +146,53 @@ def _built(known: Recording, folder: Path) -> dict[str, PeerMap]:
     with pycolmap.Database.open(folder / "database.db") as database:
         database.write_camera(camera, use_camera_id=True)
         database.write_rig(rough.rigs[1], use_rig_id=True)
-        for i, (its, pose) in enumerate(zip(features, poses_se3, strict=True)):
-            image = pycolmap.Image(f"{i}.jpg", its.pixels + 0.5, camera_id=1, image_id=i + 1)
+        for i, (feature, pose) in enumerate(zip(features, poses_se3, strict=True)):
+            image = pycolmap.Image(f"{i}.jpg", feature.pixels + 0.5, camera_id=1, image_id=i + 1)
             turn = Rotation.from_matrix(pose[:3, :3].T)
             T_cam_world = pycolmap.Rigid3d(pycolmap.Rotation3d(turn.as_quat()), -turn.apply(pose[:3, 3]))
             rough.add_image_with_trivial_frame(image, T_cam_world)
             database.write_frame(rough.frames[i + 1], use_frame_id=True)
             database.write_image(rough.images[i + 1], use_image_id=True)
-            database.write_keypoints(i + 1, (its.pixels + 0.5).astype(np.float32))
+            database.write_keypoints(i + 1, (feature.pixels + 0.5).astype(np.float32))
         for i, j in pairs:
             database.write_matches(i + 1, j + 1, _matched(features[i].descriptors, features[j].descriptors))
     pycolmap.verify_matches(folder / "database.db", folder / "pairs.txt")
     options = pycolmap.IncrementalPipelineOptions(num_threads=1, extract_colors=False)
     (folder / "sparse").mkdir(exist_ok=True)
-    found = pycolmap.triangulate_points(rough, folder / "database.db", folder, folder / "sparse", options=options)
+    model = pycolmap.triangulate_points(rough, folder / "database.db", folder, folder / "sparse", options=options)
     words = KMeans(WORDS, n_init=1, random_state=0, max_iter=30).fit(
-        np.concatenate([its.descriptors[::10] for its in features])
+        np.concatenate([each.descriptors[::10] for each in features])
     )
-    vlads = np.array([_vlad(words.cluster_centers_, its.descriptors) for its in features])
+    vlads = np.array([_vlad(words.cluster_centers_, each.descriptors) for each in features])
 
     def kept(given: FloatArray) -> PeerMap:
-        return _kept(found, features, given, words.cluster_centers_, vlads, time.process_time() - began)
+        return _kept(model, features, given, words.cluster_centers_, vlads, time.process_time() - began)
 
     maps = {"fixed": kept(poses_se3)}
     for poses in (False, True):  # focal length and points, then poses, too
         pycolmap.bundle_adjustment(
-            found,
+            model,
             pycolmap.BundleAdjustmentOptions(
                 refine_rig_from_world=poses, refine_extra_params=False, refine_focal_length=True, print_summary=False
             ),
         )
-    centres = np.array([found.images[i + 1].projection_center().ravel() for i in range(len(frames))])
-    found.transform(pycolmap.estimate_sim3d(centres, poses_se3[:, :3, 3]))
+    centres = np.array([model.images[i + 1].projection_center().ravel() for i in range(len(frames))])
+    model.transform(pycolmap.estimate_sim3d(centres, poses_se3[:, :3, 3]))
     return maps | {"refined": kept(poses_se3)}
 
 
 def _kept(
-    found: Any, features: list[Features], poses_se3: FloatArray, words: FloatArray, vlads: FloatArray, seconds: float
+    model: Any, features: list[Features], poses_se3: FloatArray, words: FloatArray, vlads: FloatArray, seconds: float
 ) -> PeerMap:
     rows, points, counts, off = [], [], [0], []
-    for i, its in enumerate(features):
-        image = found.images[i + 1]
-        seen = [(k, p.point3D_id) for k, p in enumerate(image.points2D) if p.has_point3D()]
-        rows.append(its.descriptors[[k for k, _ in seen]])
-        points += [found.points3D[p].xyz for _, p in seen]
-        counts.append(len(seen))
+    for i, feature in enumerate(features):
+        image = model.images[i + 1]
+        triangulated = [(k, p.point3D_id) for k, p in enumerate(image.points2D) if p.has_point3D()]
+        rows.append(feature.descriptors[[k for k, _ in triangulated]])
+        points += [model.points3D[p].xyz for _, p in triangulated]
+        counts.append(len(triangulated))
         off.append(image.cam_from_world().rotation.matrix() @ (poses_se3[i, :3, 3] - image.projection_center().ravel()))
-    focal = found.cameras[1].params[:2]
+    focal = model.cameras[1].params[:2]
     every = np.concatenate(rows), np.array(points), words, vlads.astype(np.float32), np.median(off, axis=0), focal
     return PeerMap(np.cumsum(counts), *every, np.array(seconds))
 
@@ -206,19 +206,19 @@ def _vlad(words: FloatArray, descriptors: FloatArray) -> FloatArray:
     return np.asarray(vector.ravel() / np.linalg.norm(vector))
 
 
-def _localized(peer: PeerMap, camera: Any, its: Features) -> tuple[FloatArray, FloatArray] | None:
+def _localized(peer: PeerMap, camera: Any, features: Features) -> tuple[FloatArray, FloatArray] | None:
     """Position (3,) and covariance (3, 3) of an image."""
-    near = np.argsort(-(peer.vlads @ _vlad(peer.words, its.descriptors)), kind="stable")[:RETRIEVED]
-    found = []
+    near = np.argsort(-(peer.vlads @ _vlad(peer.words, features.descriptors)), kind="stable")[:RETRIEVED]
+    matches = []
     for i in near.tolist():
-        own = slice(peer.starts[i], peer.starts[i + 1])
-        found.append(np.add(_matched(its.descriptors, peer.descriptors[own]), (0, own.start)))
-    rows, landmarks = np.concatenate(found).T
+        points = slice(peer.starts[i], peer.starts[i + 1])
+        matches.append(np.add(_matched(features.descriptors, peer.descriptors[points]), (0, points.start)))
+    rows, landmarks = np.concatenate(matches).T
     # several map images see the same point: it counts once
     _, first = np.unique(np.column_stack((rows, peer.points_xyz[landmarks])), axis=0, return_index=True)
     rows, landmarks = rows[first], landmarks[first]
     estimate = pycolmap.estimate_and_refine_absolute_pose(
-        its.pixels[rows] + 0.5, peer.points_xyz[landmarks], camera, return_covariance=True
+        features.pixels[rows] + 0.5, peer.points_xyz[landmarks], camera, return_covariance=True
     )
     if estimate is None or len(np.unique(rows[estimate["inlier_mask"]])) < MIN_INLIERS:
         return None

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from common import REDKITCHEN, parser_of, write_table
-from relative_motion import FITTED_FOCAL_PX, read_kitti, with_focal_length
+from relative_motion import read_kitti
 from scipy.spatial.transform import Rotation
 
 from conformodal.corridor.writer import write_corridor
@@ -65,9 +65,7 @@ def main() -> None:
     parser_of(__doc__).parse_args()
     redkitchen = read_sevenscenes(REDKITCHEN)
     noisy = Recording(**{**vars(redkitchen), "noise": PixelNoise(0.1, 0)})
-    refocused = with_focal_length(redkitchen, FITTED_FOCAL_PX)
     rows = [row("redkitchen", redkitchen, 1), row("redkitchen", redkitchen, 5), row("redkitchen, noise 0.1", noisy, 5)]
-    rows.append(row(f"redkitchen, focal length {FITTED_FOCAL_PX:g} px", refocused, 5))
     with tempfile.TemporaryDirectory() as scratch:
         write_corridor(Path(scratch), n_modules=6, n_laps=1, seed=0)
         rows.append(row("corridor", read_sevenscenes(scratch), 1))

@@ -49,7 +49,7 @@ SWITCH = ("yes", "")
 Numbers = dict[str, list[float]]
 
 
-def learn(folder: Path, seed: int) -> tuple[PoseModel, Recording, FeatureCache]:
+def learn(folder: Path, seed: int) -> tuple[PoseModel, Recording]:
     """A model trained on one flight, and another flight to answer."""
     renderer = Renderer(TurnedRooms(seed))
     for k, part in enumerate(("train", "test")):
@@ -58,7 +58,7 @@ def learn(folder: Path, seed: int) -> tuple[PoseModel, Recording, FeatureCache]:
     cache = FeatureCache(folder / "cache")
     config = ModelConfig(alpha=ALPHA, seed=seed, sources=("head",), training=replace(TRAINING, seed=seed))
     model = train_model(prepare_training_data(read_sevenscenes(folder / "train"), config, cache), config)
-    return model, read_sevenscenes(folder / "test"), cache
+    return model, read_sevenscenes(folder / "test")
 
 
 def errors(path: PosePath, truth: Trajectory) -> list[float]:
@@ -72,26 +72,26 @@ def errors(path: PosePath, truth: Trajectory) -> list[float]:
 
 def observe(seed: int) -> tuple[MotionPrior, dict[str, tuple[Observations, Trajectory]]]:
     """What reasoning is given, and the truth, for every interval between answered frames."""
-    seen = {}
+    observed = {}
     with tempfile.TemporaryDirectory() as scratch:
-        model, sequence, _ = learn(Path(scratch), seed)
+        model, sequence = learn(Path(scratch), seed)
         for name, every in EVERY.items():
             run = VisualOdometry(model).process(sequence, np.arange(0, len(sequence), every))
-            seen[name] = run.observations(np.arange(len(run.frames))), sequence.require_truth()[run.frames]
-    return model.prior, seen
+            observed[name] = run.observations(np.arange(len(run.frames))), sequence.require_truth()[run.frames]
+    return model.prior, observed
 
 
 def measure(prior: MotionPrior, observed: dict[str, tuple[Observations, Trajectory]]) -> Numbers:
     """Errors of all reasoners with limits and rotations on and off."""
     numbers: Numbers = {}
     for (interval, (whole, truth)), limits, rotation in product(observed.items(), SWITCH, SWITCH):
-        seen = whole if rotation else without_rotations(whole)
+        used = whole if rotation else without_rotations(whole)
         limited = prior if limits else without_limits(prior)
-        hindsight = filtered_path(seen, limited)
+        hindsight = filtered_path(used, limited)
         paths = {
             "hindsight": hindsight,
-            "smoothed": smooth(own_hypotheses(hindsight, seen, limited), seen, limited),
-            "online": filtered_path(seen, limited, hindsight=False),
+            "smoothed": smooth(own_hypotheses(hindsight, used, limited), used, limited),
+            "online": filtered_path(used, limited, hindsight=False),
         }
         for reasoner, path in paths.items():
             numbers[", ".join((interval, limits, rotation, reasoner))] = errors(path, truth)

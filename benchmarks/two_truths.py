@@ -37,8 +37,8 @@ def main() -> None:
     both, colmap = colmap_truth(sequence)
     table = []
     for how in ALIGNMENTS:
-        moved = colmap if how == "none" else align(colmap, fusion[both], how)
-        metres, degrees = position_errors_m(moved, fusion[both]), orientation_errors_deg(moved, fusion[both])
+        aligned = colmap if how == "none" else align(colmap, fusion[both], how)
+        metres, degrees = position_errors_m(aligned, fusion[both]), orientation_errors_deg(aligned, fusion[both])
         numbers = [np.sqrt(np.mean(metres**2)), np.median(metres), np.sqrt(np.mean(degrees**2)), np.median(degrees)]
         table.append([how, *(f"{number:.4f}" for number in numbers[:2]), *(f"{number:.2f}" for number in numbers[2:])])
     write_table(

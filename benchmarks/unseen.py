@@ -181,7 +181,7 @@ def corridor(seed: int, cache: FeatureCache, scratch: Path) -> dict[str, Any]:
 
 
 COLUMNS = [
-    "whole pose covered (range)", "in the quarter least known", "abstained", "length of other regions, m",
+    "whole pose covered (range)", "abstained", "length of other regions, m",
     "flagged", "not flagged: median error, m", "within 0.3 m", "RMSE of all, m",
 ]  # fmt: skip
 
@@ -202,10 +202,6 @@ def columns_of(runs: list[dict[str, Any]]) -> dict[str, str]:
         return cells
     off, coverage = joined("off_m"), [np.mean(run["covered"]) for run in runs]
     unflagged = off[~joined("flagged")]
-    if np.isfinite(runs[0]["known_p"][0]):
-        hardest = [np.argsort(run["known_p"], kind="stable")[: len(run["covered"]) // 4] for run in runs]
-        held = [np.mean(np.array(run["covered"])[at]) for run, at in zip(runs, hardest, strict=True)]
-        cells["in the quarter least known"] = f"{np.mean(held):.3f}"
     if len(unflagged):
         cells["not flagged: median error, m"] = f"{np.median(unflagged):.4f}"
         cells["within 0.3 m"] = f"{np.mean(unflagged < NEAR_M):.3f}"

@@ -78,55 +78,18 @@ def mapie_cqr_boosting(split: Split, alpha: float) -> Sets:
     return one_interval(intervals[:, 0, 0], intervals[:, 1, 0])
 
 
-def mapie_cqr_forest(split: Split, alpha: float) -> Sets:
-    """MAPIE's CQR on a quantile forest, leaf size tuned by the sum of the pinball losses."""
-    from mapie.regression import ConformalizedQuantileRegressor
-    from quantile_forest import RandomForestQuantileRegressor
-
-    levels = (alpha / 2, 1 - alpha / 2, 0.5)
-    best: tuple[float, int] | None = None
-    for leaf in (1, 5, 20):
-        forest = RandomForestQuantileRegressor(200, min_samples_leaf=leaf, max_features=0.5, random_state=split.seed)
-        forest.fit(split.X["train"], split.y["train"])
-        out = forest.predict(split.X["train"], quantiles=list(levels), oob_score=True)
-        loss = sum(mean_pinball_loss(split.y["train"], out[:, i], alpha=q) for i, q in enumerate(levels[:2]))
-        if best is None or loss < best[0]:
-            best, chosen = (loss, leaf), forest
-
-    class AtLevel:
-        """One quantile of the forest, as MAPIE wants three fitted regressors."""
-
-        def __init__(self, level: float) -> None:
-            self.level = level
-            self.n_features_in_ = chosen.n_features_in_
-
-        def fit(self, X: FloatArray, y: FloatArray) -> AtLevel:
-            return self
-
-        def predict(self, X: FloatArray) -> FloatArray:
-            return np.asarray(chosen.predict(X, quantiles=[self.level])).ravel()
-
-        def __sklearn_is_fitted__(self) -> bool:
-            return True
-
-    cqr = ConformalizedQuantileRegressor([AtLevel(q) for q in levels], confidence_level=1 - alpha, prefit=True)
-    cqr.conformalize(split.X["cal"], split.y["cal"])
-    _, intervals = cqr.predict_interval(split.X["test"], allow_infinite_bounds=True, symmetric_correction=True)
-    return one_interval(intervals[:, 0, 0], intervals[:, 1, 0])
-
-
 def _best_regressor(split: Split) -> Any:
     """Boosting from its grid, or a forest, whichever has the smallest cross-validated squared error."""
     X, y = split.X["train"], split.y["train"]
     folds = KFold(3, shuffle=True, random_state=split.seed)
     boosting = HistGradientBoostingRegressor(random_state=split.seed, **BOOSTING)
     search = GridSearchCV(boosting, BOOSTING_GRID, scoring="neg_mean_squared_error", cv=folds).fit(X, y)
-    found = [(-search.best_score_, search.best_estimator_)]
+    models = [(-search.best_score_, search.best_estimator_)]
     for kind in (RandomForestRegressor, ExtraTreesRegressor):
         model = kind(200, random_state=split.seed)
         error = float(np.mean((cross_val_predict(model, X, y, cv=folds) - y) ** 2))
-        found.append((error, model.fit(X, y)))
-    return min(found, key=lambda pair: pair[0])[1]
+        models.append((error, model.fit(X, y)))
+    return min(models, key=lambda pair: pair[0])[1]
 
 
 def mapie_conditional(split: Split, alpha: float) -> Sets:
@@ -141,8 +104,8 @@ def mapie_conditional(split: Split, alpha: float) -> Sets:
     spread = RandomForestRegressor(200, min_samples_leaf=10, max_features=0.5, random_state=split.seed)
     spread.fit(X, np.abs(y - cross_val_predict(clone(best), X, y, cv=folds)))
     cuts = np.quantile(spread.predict(split.X["cal"]), (0.25, 0.5, 0.75))
-    known = {part: spread.predict(split.X[part]) for part in ("cal", "test")}
-    rows = {row.tobytes(): at for part in known for row, at in zip(split.X[part], known[part], strict=True)}
+    spreads = {part: spread.predict(split.X[part]) for part in ("cal", "test")}
+    rows = {row.tobytes(): at for part in spreads for row, at in zip(split.X[part], spreads[part], strict=True)}
 
     def features(X: FloatArray) -> FloatArray:
         at = np.array([rows[row.tobytes()] for row in X])  # it asks row by row
@@ -237,7 +200,7 @@ def torchcp_cqr(split: Split, alpha: float) -> Sets:
     epochs = int(np.clip(NETWORK_STEPS // len(loaders["train"]), 30, 1000))
     n_val = max(len(whole) // 10, 1)
     generator = torch.Generator().manual_seed(split.seed)
-    seen, held = torch.utils.data.random_split(whole, [len(whole) - n_val, n_val], generator=generator)
+    rest, held = torch.utils.data.random_split(whole, [len(whole) - n_val, n_val], generator=generator)
     X_held, y_held = whole[held.indices]
 
     def trained(data: Any, dropout: float) -> Any:
@@ -250,7 +213,7 @@ def torchcp_cqr(split: Split, alpha: float) -> Sets:
         return predictor
 
     def loss(dropout: float) -> float:
-        predictor = trained(seen, dropout)
+        predictor = trained(rest, dropout)
         predictor._model.eval()
         with torch.no_grad():
             out = predictor._model(X_held).numpy()
@@ -305,12 +268,12 @@ def r2ccp(split: Split, alpha: float) -> Sets:
         sys.modules["R2CCP.main"].pl = types.SimpleNamespace(Trainer=quiet)
         try:
             model.fit(X, y)
-            found = model.get_intervals(split.X["test"])
+            intervals = model.get_intervals(split.X["test"])
         finally:
             sys.modules["R2CCP.main"].pl = types.SimpleNamespace(Trainer=plain)
-    rows = np.repeat(np.arange(len(found)), [len(f) for f in found])
-    ends = np.array([pair for f in found for pair in f], dtype=np.float64).reshape(-1, 2)
-    return Sets(len(found), rows, ends[:, 0], ends[:, 1])
+    rows = np.repeat(np.arange(len(intervals)), [len(each) for each in intervals])
+    ends = np.array([pair for each in intervals for pair in each], dtype=np.float64).reshape(-1, 2)
+    return Sets(len(intervals), rows, ends[:, 0], ends[:, 1])
 
 
 OURS, STACK, PROBE = "conformodal", "conformodal, stack", "crepes on conformodal's learner"
@@ -323,7 +286,6 @@ CLASSIFIERS: dict[str, Callable[[int], Any]] = {
 }
 PEERS: dict[str, Callable[[Split, float], Sets]] = {
     "MAPIE CQR, boosting": mapie_cqr_boosting,
-    "MAPIE CQR, quantile forest": mapie_cqr_forest,
     "MAPIE conditional": mapie_conditional,
     "crepes, normalised": crepes_normalized,
     "TorchCP CQR": torchcp_cqr,

@@ -113,26 +113,26 @@ def main() -> None:
     rows, best_rows = [], []
     relative: dict[str, list[float]] = {method: [] for method in METHODS}  # sizes over the default's, by table
     against: dict[str, list[float]] = {OURS: [], STACK: []}  # sizes over the best peer's, by table
-    for table, own in runs.items():
-        rows += [row_of(table, method, found) for method, found in own.items() if found]
-        if optimal := [r["optimal"] for r in own[OURS].values() if r.get("optimal")]:
+    for table, by_method in runs.items():
+        rows += [row_of(table, method, by_seed) for method, by_seed in by_method.items() if by_seed]
+        if optimal := [r["optimal"] for r in by_method[OURS].values() if r.get("optimal")]:
             rows.append([table, "the shortest there can be", "0.900", "", mean_interval(optimal, 3), *[""] * 5])
         for method in METHODS:
-            if shared := ratios(own[method], own[OURS]):
+            if shared := ratios(by_method[method], by_method[OURS]):
                 relative[method].append(geometric(shared))
-        peers = {p: own[p] for p in PEERS if valid(own[p])}
+        peers = {p: by_method[p] for p in PEERS if valid(by_method[p])}
         cells = [table]
-        for method, found in against.items():
-            by_peer = {p: shared for p in peers if (shared := ratios(own[method], peers[p]))}
+        for method, sizes in against.items():
+            by_peer = {p: shared for p in peers if (shared := ratios(by_method[method], peers[p]))}
             if not by_peer:
                 cells.append("")
                 continue
             best = max(by_peer, key=lambda p: geometric(by_peer[p]))
-            found.append(geometric(by_peer[best]))
-            cells.append(f"{found[-1]:.3f} ({best}, {len(by_peer[best])})")
+            sizes.append(geometric(by_peer[best]))
+            cells.append(f"{sizes[-1]:.3f} ({best}, {len(by_peer[best])})")
         best_rows.append(cells)
-    best_rows.append(["geometric mean", *(f"{geometric(found):.3f}" if found else "" for found in against.values())])
-    over = [[m, f"{geometric(found):.3f}", str(len(found))] for m, found in relative.items() if found]
+    best_rows.append(["geometric mean", *(f"{geometric(sizes):.3f}" if sizes else "" for sizes in against.values())])
+    over = [[m, f"{geometric(sizes):.3f}", str(len(sizes))] for m, sizes in relative.items() if sizes]
     notes = (
         f"alpha = {ALPHA}. The first target of every table, {MOST_ROWS} rows of it drawn at random with every seed (all "
         "rows of smaller tables): 60 % training, 20 % calibration, 20 % test, so samples are exchangeable. Mean ± half of "
@@ -145,7 +145,7 @@ def main() -> None:
         "Seconds are of one core and include tuning. Valid: no run below its 99.99 % band; failed ones do not count. "
         "What each peer is and how it is tuned: `benchmarks/peers/methods.py`; those without a row have no run yet."
     )
-    names = ("mapie", "torchcp", "crepes", "R2CCP", "quantile-forest", "scikit-learn")
+    names = ("mapie", "torchcp", "crepes", "R2CCP", "scikit-learn")
     write_page(
         "peers",
         "Sets of conformodal and its peers",

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal, conformal_quantile, grouped_coverage_band
-from conformodal.localizer.region_rules import EvidenceType, RegionRules, Sharing
+from conformodal.localizer.region_rules import EvidenceType, RegionRules
 from conformodal.pipeline.evaluate import coverage_table
 from conformodal.pipeline.results.statistics import RegionStatistics
 
@@ -37,7 +37,7 @@ def test_kinds_follow_the_p_values_and_what_was_recognised(rules):
     by_level = [GLOBAL, GLOBAL, UNKNOWN, GLOBAL, UNKNOWN, UNKNOWN, UNKNOWN]
     alone = RegionRules(rules.overall, None, rules.known_p, rules.level)
     assert alone.kinds(known_p, recognised).tolist() == by_level
-    assert list(alone.of) == [GLOBAL]
+    assert list(alone.by_type) == [GLOBAL]
     assert alone.thresholds(np.array([LANDMARKS])).tolist() == [[np.inf] * 7]  # nothing was calibrated for it
 
 
@@ -48,7 +48,7 @@ def test_every_kind_has_the_conformal_quantile_of_its_own_frames(rules, alpha):
     for kind, chosen in of.items():
         expected = conformal_quantile(rules.overall.scores_[chosen].max(axis=1), alpha)
         np.testing.assert_array_equal(rules.thresholds(np.array([kind]))[0], np.full(7, expected))
-        assert rules.of[kind].n_units == chosen.sum()
+        assert rules.by_type[kind].n_units == chosen.sum()
     assert (rules.thresholds(np.array([UNKNOWN])) == np.inf).all()
     assert rules.overall.alpha == alpha
     alone = replace(rules, recognised=None)
@@ -62,34 +62,19 @@ def test_disturbed_images_have_the_quantile_of_disturbed_frames_of_known_places(
     kinds = rules.kinds(np.array([1.0, 1.0, 0.05]), np.ones(3, dtype=bool), np.array([True, False, True]))
     assert kinds.tolist() == [DISTURBED, LANDMARKS, UNKNOWN]
     own = conformal_quantile(copies.scores_[p > 0.05].max(axis=1), 0.4)
-    np.testing.assert_array_equal(rules.of[DISTURBED].thresholds_, np.full(7, own))
+    np.testing.assert_array_equal(rules.by_type[DISTURBED].thresholds_, np.full(7, own))
     for recognised, other in ((True, LANDMARKS), (False, UNMATCHED)):  # never below that of the type it has otherwise
-        expected = np.maximum(own, rules.of[other].thresholds_)
+        expected = np.maximum(own, rules.by_type[other].thresholds_)
         np.testing.assert_array_equal(rules.thresholds(kinds[:1], np.array([recognised]))[0], expected)
-    assert rules.sharing is Sharing.OWN
 
 
-@pytest.mark.parametrize(
-    ("n_matched", "sharing"), [(0, Sharing.SHARED), (8, Sharing.SHARED), (9, Sharing.WIDER), (10, Sharing.OWN)]
-)
-def test_a_type_of_too_few_frames_shares_the_thresholds_of_the_other(bins, n_matched, sharing):
+@pytest.mark.parametrize(("n_matched", "bounded"), [(0, False), (8, False), (9, True)])
+def test_a_type_of_too_few_frames_is_unbounded_and_leaves_the_other_as_it_is(bins, n_matched, bounded):
     whole = calibrated(bins)
     rules = RegionRules(whole, np.arange(80) < n_matched, np.ones(80), 0.01).at(0.1)
-    assert rules.sharing is sharing
-    found = rules.thresholds(np.array([UNMATCHED, LANDMARKS, UNKNOWN]))
-    assert np.isfinite(found).all(axis=1).tolist() == [True, True, False]
-    both = conformal_quantile(whole.scores_.max(axis=1), 0.1)
-    own = [conformal_quantile(part.max(axis=1), 0.1) for part in (whole.scores_[n_matched:], whole.scores_[:n_matched])]
-    expected = {Sharing.SHARED: [both, both], Sharing.WIDER: np.maximum(own, both), Sharing.OWN: own}[sharing]
-    np.testing.assert_array_equal(found[:2, 0], expected)
-
-
-def test_types_are_bounded_that_share_stretches_and_weigh_half_of_each(bins):
-    """Twelve stretches, half of each recognised: each type weighs six, and both together are enough."""
-    whole = calibrated(bins, 48, groups=np.repeat(np.arange(12), 4)).at(0.1)
-    rules = RegionRules(whole, np.tile([True, True, False, False], 12), np.ones(48), 0.0)
-    assert [float(rule.weight) for rule in rules.own.values()] == [6, 6]
-    assert np.isfinite(rules.thresholds(np.array([UNMATCHED, LANDMARKS]))).all()
+    unmatched, landmarks = rules.thresholds(np.array([UNMATCHED, LANDMARKS]))
+    assert np.isfinite(landmarks).all() == bounded
+    assert unmatched[0] == conformal_quantile(whole.scores_[n_matched:].max(axis=1), 0.1)
 
 
 def drawn(rng, n_units, n_members):
@@ -101,29 +86,24 @@ def drawn(rng, n_units, n_members):
 
 @pytest.mark.parametrize(("joint", "alpha"), [("none", 0.25), ("bonferroni", 0.5), ("max", 0.25)])
 @pytest.mark.parametrize("n_members", [1, 3])
-def test_the_guarantee_holds_however_types_share_thresholds(joint, alpha, n_members):
+def test_the_guarantee_holds_in_each_type(joint, alpha, n_members):
     """Each of the units is the new one once: of exchangeable units, this average is their law, without noise."""
-    rng, met = np.random.default_rng(n_members), set()
+    rng = np.random.default_rng(n_members)
     cells = QuantileBins.from_edges([np.arange(3.0)] * 2)
     for _ in range(25):
         n_units = int(rng.integers(8, 13))
         recognised, scores = drawn(rng, n_units, n_members)
         missed = np.empty(scores.shape, dtype=bool)
-        decided = set()
         for new in range(n_units):
             others = np.delete(np.arange(n_units), new)
             groups = None if n_members == 1 else np.repeat(others, n_members)
             whole = SplitConformal(cells, alpha, "hpd", joint).calibrate_scores(scores[others].reshape(-1, 2), groups)
             rules = RegionRules(whole, recognised[others].ravel(), np.ones(len(whole.scores_)), 0.0)
             missed[new] = scores[new] > rules.thresholds(np.where(recognised[new], LANDMARKS, UNMATCHED))
-            decided.add(rules.sharing)
         events = missed.any(axis=2, keepdims=True) if joint != "none" else missed
-        assert (events.mean(axis=(0, 1)) <= alpha + 1e-12).all()
         for chosen in (recognised, ~recognised):
-            if decided == {Sharing.OWN} and chosen.any():  # then it holds in each type
+            if chosen.any():
                 assert (events[chosen].mean(axis=0) <= alpha + 1e-12).all()
-        met |= decided
-    assert met == set(Sharing)
 
 
 def test_regions_of_the_unknown_are_unbounded_in_all_targets(bins, rules):
@@ -143,15 +123,12 @@ def test_thresholds_of_stretches_keep_their_groups(bins, joint):
     for kind, chosen in ((LANDMARKS, matched), (UNMATCHED, ~matched)):
         sizes = np.full(chosen.sum(), 4)  # of the whole stretches
         again = SplitConformal(bins, 0.2, "hpd", joint).calibrate_scores(whole.scores_[chosen], groups[chosen], sizes)
-        np.testing.assert_array_equal(rules.own[kind].thresholds_, again.thresholds_)
-        assert rules.own[kind].n_units == 20
+        np.testing.assert_array_equal(rules.by_type[kind].thresholds_, again.thresholds_)
+        assert rules.by_type[kind].n_units == 20
 
 
-@pytest.mark.parametrize(
-    ("n_recognised", "n_new", "law"), [(20, 30, [(60, 70), (20, 30)]), (4, 3, [(80, 100)]), (4, 30, None), (9, 3, None)]
-)
-def test_a_band_is_stated_only_where_types_share_thresholds_in_every_split(bins, n_recognised, n_new, law):
-    """Of 80 frames that calibrate and 100 new ones, drawn again: the law is exact if the types share them always."""
+@pytest.mark.parametrize(("n_recognised", "n_new"), [(20, 30), (4, 3)])
+def test_the_band_is_that_of_both_types_together(bins, n_recognised, n_new):
     whole = calibrated(bins)
     rules = RegionRules(whole, np.arange(80) < n_recognised, np.ones(80), 0.0).at(0.1)
     statistics = RegionStatistics(
@@ -168,8 +145,8 @@ def test_a_band_is_stated_only_where_types_share_thresholds_in_every_split(bins,
         rules=rules, calibration=rules.overall, n_calibration=80, localizer=sources, comparison=None
     )
     table = coverage_table(statistics, model, exchangeable=True)
-    assert table["joint_band_99"] == (None if law is None else list(grouped_coverage_band(law, 0.1)))
-    assert table["by_evidence"]["landmarks"]["thresholds"] == str(rules.sharing)
+    law = [(80 - n_recognised, 100 - n_new), (n_recognised, n_new)]
+    assert table["joint_band_99"] == list(grouped_coverage_band(law, 0.1))
 
 
 def test_scales_of_scores_that_need_them_are_those_of_the_whole(bins):
@@ -177,4 +154,4 @@ def test_scales_of_scores_that_need_them_are_those_of_the_whole(bins):
     whole.rule.loc_, whole.rule.scale_ = np.zeros(7), np.arange(1.0, 8)
     scores = np.random.default_rng(0).normal(size=(60, 7))
     rules = RegionRules(whole.calibrate_scores(scores), None, np.ones(60), 0.0)
-    np.testing.assert_array_equal(rules.of[GLOBAL].thresholds_, whole.thresholds_)
+    np.testing.assert_array_equal(rules.by_type[GLOBAL].thresholds_, whole.thresholds_)

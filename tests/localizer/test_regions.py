@@ -98,14 +98,22 @@ def test_places_name_disjoint_cuboids_with_the_hypotheses_in_them(beliefs):
         assert sum(probabilities) <= 1 + 1e-9
         codes = {tuple(box.ravel()) for box in regions.boxes[i]}
         assert len(codes) == len(places)
-        inside = regions.holds(i, [np.concatenate((p.position_xyz, [2.0] * 4)) for p in places], 3) if places else []
-        assert len(inside) == len(places)
         for place in places:
             its = (support.candidates.positions_xyz >= place.box[:3, 0]) & (
                 support.candidates.positions_xyz <= place.box[:3, 1]
             )
             assert its.all(axis=1).any()
             assert (place.covariance == np.diag(np.diag(place.covariance))).all()
+
+
+def test_a_region_holds_the_poses_in_its_cuboids(beliefs):
+    proba, supports, targets = beliefs
+    regions = pose_regions(rule_of(), proba, supports, np.full(7, 0.9))
+    for i in range(N):
+        held = regions[np.full(N, i)].contains(targets, joint=True)
+        edges = regions.box_edges(i)
+        inside = (edges[None, :, :, 0] <= targets[:, None]) & (targets[:, None] < edges[None, :, :, 1])
+        np.testing.assert_array_equal(held, inside.all(axis=2).any(axis=1))
 
 
 def test_slices_and_concatenation_keep_places(beliefs):
@@ -123,7 +131,6 @@ def test_an_infinite_threshold_holds_every_pose(beliefs):
     regions = pose_regions(rule_of(), proba, supports, np.full(7, np.inf))
     far = np.full((N, 7), 1e9)
     assert regions.contains(far, joint=True).all()
-    assert regions.holds(0, far).all()
     assert np.isinf(regions.volume).all()
     assert np.isinf(regions.places(0)[0].box).all()
 
@@ -135,7 +142,10 @@ def test_where_each_target_is_calibrated_by_itself_the_region_is_the_product(bel
     limits = np.linspace(0.7, 0.99, 7)
     regions, product = pose_regions(rule, proba, supports, limits), rule.regions_at(proba, limits)
     np.testing.assert_array_equal(regions.contains(targets, joint=True), product.contains(targets, joint=True))
-    np.testing.assert_array_equal(regions.holds(3, targets), product[[3] * N].contains(targets, joint=True))
+    third = np.full(N, 3)
+    np.testing.assert_array_equal(
+        regions[third].contains(targets, joint=True), product[third].contains(targets, joint=True)
+    )
     assert (regions.volume == product.volume).all()
 
 

@@ -76,14 +76,14 @@ def test_regions_of_disturbed_images_are_calibrated_on_disturbed_ones(model, seq
     assert np.isfinite(found.regions.length[told]).all()
     assert told.sum() > 5
     held = found.regions.contains(pose_targets(sequence.truth[frames], model.sign_reference), joint=True)[told]
-    low, _ = coverage_band(model.rules.of[EvidenceType.DISTURBED].n_units, int(told.sum()), model.alpha)
+    low, _ = coverage_band(model.rules.by_type[EvidenceType.DISTURBED].n_units, int(told.sum()), model.alpha)
     assert low <= held.mean()  # thresholds are no smaller than those of the band
 
 
 @pytest.mark.parametrize("alpha", [0.3, "0.3", Fraction(3, 10)])
 def test_alpha_has_one_form_before_and_after_saving(small_world, tmp_path, alpha):
     model = load_model(small_world.model)
-    assert [rule.alpha for rule in model.rules.of.values()] == [0.2] * len(model.rules.of)
+    assert [rule.alpha for rule in model.rules.by_type.values()] == [0.2] * len(model.rules.by_type)
     model.recalibrate(alpha)
     model.set_novelty_level(0.25)
     save_model(model, tmp_path)

@@ -29,7 +29,7 @@ def test_thresholds_are_those_of_stretches(trained):
     groups = folds.units[folds.held_out]
     np.testing.assert_array_equal(model.calibration.groups_, groups)
     assert model.rules.recognised is None
-    rule = model.rules.of[EvidenceType.GLOBAL]
+    rule = model.rules.by_type[EvidenceType.GLOBAL]
     columns = model.calibration.scores_.max(axis=1)
     known = model.rules.known_p > model.rules.level
     parts = [columns[known & (groups == g)] for g in np.unique(groups[known])]

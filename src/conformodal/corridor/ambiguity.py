@@ -43,7 +43,7 @@ def check_ambiguity(
             there = Trajectory.from_poses_se3(np.arange(float(len(others))), others)
             targets = pose_targets(there, model.sign_reference)
         found.places.append(others[:, :3, 3])
-        found.held.append(run.regions.holds(i, targets))
+        found.held.append(run.regions[np.full(len(targets), i)].contains(targets, joint=True))
         if progress is not None:
             progress(i + 1, len(truth))
     return found

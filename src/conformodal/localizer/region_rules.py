@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, replace
-from enum import IntEnum, StrEnum
+from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
@@ -26,34 +25,17 @@ class EvidenceType(IntEnum):
     DISTURBED = 4  # the model uses local features; the image is blurred, dark, bright or noisy as no training image is
 
 
-# Their thresholds may be shared.
-MATCHED_TYPES = (EvidenceType.UNMATCHED, EvidenceType.LANDMARKS)
-
-
-class Sharing(StrEnum):
-    """Thresholds of the two evidence types of matched local features."""
-
-    OWN = "own"  # each type's own
-    WIDER = "wider"  # the larger of each type's own and those of both types together
-    SHARED = "shared"  # those of both types together
-
-
 @dataclass(frozen=True, eq=False)
 class RegionRules:
     """Calibration scores of n frames, and thresholds from them.
 
     Each evidence type is calibrated on the calibration frames of that type, so the guarantee holds within each type:
     exactly where frames calibrate; where stretches do, provided that the sources of the folds assign types as those of
-    all frames do.
-
-    If ``UNMATCHED`` or ``LANDMARKS`` has too little weight for a finite threshold, the two share thresholds, and the
-    guarantee is about both together. To keep the units exchangeable, sharing depends only on the weights of the types
-    in the calibration units and the new one together, never on scores. The weights in the new unit are not known, at
-    most 1 in all; where they could change the decision, both types use the larger thresholds. See :attr:`sharing`.
+    all frames do. A type with too little weight for a finite threshold at alpha has unbounded regions.
 
     ``DISTURBED`` is calibrated on copies of calibration frames that were disturbed at random, see
     :class:`~conformodal.io.Disturbance`, so its guarantee is about images disturbed likewise.
-    Their thresholds are no smaller than those of ``UNMATCHED`` or ``LANDMARKS``.
+    Its thresholds are no smaller than those of ``UNMATCHED`` or ``LANDMARKS``.
 
     Frames with a p-value of at most `level` are :attr:`EvidenceType.UNKNOWN`; those in which a place was recognised, of
     at most half of it, see :meth:`is_known`.
@@ -79,46 +61,17 @@ class RegionRules:
         return self.is_known(self.known_p, False if self.recognised is None else self.recognised)
 
     @cached_property
-    def own(self) -> dict[EvidenceType, SplitConformal]:
+    def by_type(self) -> dict[EvidenceType, SplitConformal]:
         """Each evidence type but ``UNKNOWN``, calibrated on its own frames, however few."""
         if self.recognised is None:
             return {EvidenceType.GLOBAL: part_of(self.overall, self.known)}
-        told = dict(zip(MATCHED_TYPES, (~self.recognised, self.recognised), strict=True))
-        rules = {kind: part_of(self.overall, self.known & its) for kind, its in told.items()}
+        rules = {
+            EvidenceType.UNMATCHED: part_of(self.overall, self.known & ~self.recognised),
+            EvidenceType.LANDMARKS: part_of(self.overall, self.known & self.recognised),
+        }
         if self.disturbed is not None and self.disturbed_p is not None:
             rules[EvidenceType.DISTURBED] = part_of(self.disturbed, self.disturbed_p > self.level)
         return rules
-
-    @cached_property
-    def both(self) -> SplitConformal | None:
-        """Calibrated on the frames of ``UNMATCHED`` and ``LANDMARKS`` together; None without local features."""
-        return None if self.recognised is None else part_of(self.overall, self.known)
-
-    @cached_property
-    def sharing(self) -> Sharing:
-        """How ``UNMATCHED`` and ``LANDMARKS`` share thresholds, by the smaller of their weights.
-
-        A threshold is finite if the weight, with the new unit, is at least ``1 / alpha`` units.
-        """
-        if self.recognised is None:
-            return Sharing.OWN
-        needed = 1 / self.overall.alpha_per_target
-        least = min(self.own[kind].weight for kind in MATCHED_TYPES)
-        if least >= needed:
-            return Sharing.OWN
-        return Sharing.WIDER if least + 1 >= needed else Sharing.SHARED
-
-    @cached_property
-    def of(self) -> dict[EvidenceType, SplitConformal]:
-        """The rule in force of each evidence type but ``UNKNOWN``."""
-        if self.both is None or self.sharing is Sharing.OWN:
-            return self.own
-        both = self.both
-        shared = self.sharing is Sharing.SHARED
-        return {
-            kind: rule if kind not in MATCHED_TYPES else both if shared else _wider(rule, both)
-            for kind, rule in self.own.items()
-        }
 
     def kinds(self, known_p: FloatArray, recognised: BoolArray, disturbed: BoolArray | bool = False) -> IntArray:
         """(m,) evidence types of new images, from their p-values, NaN if not tested.
@@ -140,19 +93,15 @@ class RegionRules:
         range of qualities by chance.
         """
         limits = np.full((len(kinds), self.overall.bins.n_targets), np.inf)
-        for kind, rule in self.of.items():
+        for kind, rule in self.by_type.items():
             limits[kinds == kind] = rule.thresholds_
-        for kind, told in zip(MATCHED_TYPES, (~np.asarray(recognised), recognised), strict=True):
-            if kind in self.of:
-                rows = (kinds == EvidenceType.DISTURBED) & told
-                limits[rows] = np.maximum(limits[rows], self.of[kind].thresholds_)
+        for kind in self.by_type.keys() & {EvidenceType.UNMATCHED, EvidenceType.LANDMARKS}:
+            rows = (kinds == EvidenceType.DISTURBED) & (recognised == (kind is EvidenceType.LANDMARKS))
+            limits[rows] = np.maximum(limits[rows], self.by_type[kind].thresholds_)
         return limits
 
     def at(self, alpha: Alpha) -> RegionRules:
-        """The same calibration at another miscoverage rate.
-
-        Regions at a lower rate contain those at a higher one, unless the types share thresholds at only one of them.
-        """
+        """The same calibration at another miscoverage rate: regions at a lower rate contain those at a higher one."""
         rate = float(as_alpha(alpha))
         disturbed = None if self.disturbed is None else self.disturbed.at(rate)
         return replace(self, overall=self.overall.at(rate), disturbed=disturbed)
@@ -163,15 +112,8 @@ def part_of(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:
     part = SplitConformal(rule.bins, rule.alpha, rule.score, rule.joint, rule.empty)
     if rule.joint == "max":
         part.rule.loc_, part.rule.scale_ = rule.rule.loc_, rule.rule.scale_
-    batches = None if rule.batches_ is None else rule.batches_[chosen]
     if rule.groups_ is None:
-        return part.calibrate_scores(rule.scores_[chosen], batches=batches)
+        return part.calibrate_scores(rule.scores_[chosen])
     # a frame keeps its weight in its stretch, so that the guarantees of all types add up to that of a new stretch
     _, group, counts = np.unique(rule.groups_, return_inverse=True, return_counts=True)
-    return part.calibrate_scores(rule.scores_[chosen], rule.groups_[chosen], counts[group][chosen], batches)
-
-
-def _wider(own: SplitConformal, both: SplitConformal) -> SplitConformal:
-    found = copy(own)
-    found.thresholds_ = np.maximum(own.thresholds_, both.thresholds_)
-    return found
+    return part.calibrate_scores(rule.scores_[chosen], rule.groups_[chosen], counts[group][chosen])

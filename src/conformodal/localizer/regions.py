@@ -9,6 +9,7 @@ calibration guarantees their coverage as that of any other score.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Self
 
@@ -40,14 +41,14 @@ class Support:
     @classmethod
     def of(cls, candidates: Candidates, cells: QuantileBins, sign_reference: FloatArray) -> Self:
         """Of an image's hypotheses, without those beyond the cells."""
-        its = candidates.normalised()
-        its = its.take(np.argsort(-its.log_mass, kind="stable"))
-        quats = fix_sign(its.orientations_quat_wxyz, sign_reference)
-        codes = cells.encode(np.concatenate((its.positions_xyz, quats), axis=1))
-        mass = np.exp(its.log_mass)
+        hypotheses = candidates.normalised()
+        hypotheses = hypotheses.take(np.argsort(-hypotheses.log_mass, kind="stable"))
+        quats = fix_sign(hypotheses.orientations_quat_wxyz, sign_reference)
+        codes = cells.encode(np.concatenate((hypotheses.positions_xyz, quats), axis=1))
+        mass = np.exp(hypotheses.log_mass)
         within = np.flatnonzero((codes >= 0).all(axis=1))
         levels = np.concatenate(([0.0], np.cumsum(mass)[:-1]))
-        return cls(its.take(within), codes[within], levels[within], float(mass[within].sum()))
+        return cls(hypotheses.take(within), codes[within], levels[within], float(mass[within].sum()))
 
 
 class PoseRegions(Regions):
@@ -81,60 +82,53 @@ class PoseRegions(Regions):
         super().__init__(bins, masks, unbounded)
         self.supports, self.limits, self.product = list(supports), np.asarray(limits), product
         self.boxes: list[IntArray] = []  # (b, 7, 2): first cell and one past the last
-        kept = [np.zeros_like(mask) for mask in self.masks]
+        projections = [np.zeros_like(mask) for mask in self.masks]
         for i, (support, limit) in enumerate(zip(self.supports, self.limits, strict=True)):
             runs = super().runs(i)
             boxes = _supported(runs, support, [mask[i] for mask in self.masks], limit)
             self.boxes.append(boxes)
-            for j, mask in enumerate(kept):
+            for j, mask in enumerate(projections):
                 for low, high in boxes[:, j]:
                     mask[i, low:high] = True
         if not product:
-            self.masks = [mask | unbounded[:, j, None] for j, mask in enumerate(kept)]
+            self.masks = [mask | unbounded[:, j, None] for j, mask in enumerate(projections)]
             self._stacked = None
 
     def __getitem__(self, index: slice | BoolArray | npt.NDArray[np.integer]) -> PoseRegions:
         """Regions of some of the images: a slice, a boolean mask or an array of positions."""
-        part = super().__getitem__(index)
-        rows = np.arange(len(self))[index]
-        chosen = [self.supports[i] for i in rows]
-        return PoseRegions(self.bins, part.masks, part.unbounded, chosen, self.limits[rows], product=self.product)
+        part, rows = super().__getitem__(index), np.arange(len(self))[index].tolist()
+        chosen = copy(self)
+        vars(chosen).update(vars(part))
+        chosen.supports, chosen.limits = [self.supports[i] for i in rows], self.limits[rows]
+        chosen.boxes = [self.boxes[i] for i in rows]
+        return chosen
 
     @classmethod
     def concatenate(cls, parts: Iterable[Regions]) -> PoseRegions:
         """Regions of all the images of `parts`, in order."""
-        its = [part for part in parts if isinstance(part, PoseRegions)]
-        if len(its) == 1:
-            return its[0]
-        whole = Regions.concatenate(its)
-        supports = [support for part in its for support in part.supports]
-        limits = np.concatenate([part.limits for part in its])
-        return cls(whole.bins, whole.masks, whole.unbounded, supports, limits, product=its[0].product)
+        each = [part for part in parts if isinstance(part, PoseRegions)]
+        whole = copy(each[0])
+        vars(whole).update(vars(Regions.concatenate(each)))
+        whole.supports = [support for part in each for support in part.supports]
+        whole.limits = np.concatenate([part.limits for part in each])
+        whole.boxes = [boxes for part in each for boxes in part.boxes]
+        return whole
 
     def contains(self, y: npt.ArrayLike, joint: bool = False) -> BoolArray:
         """Whether each projection holds its value of `y`, (n, 7); with `joint`, whether the region holds the pose."""
         if not joint or self.product:
             return super().contains(y, joint)
-        values = np.asarray(y, dtype=np.float64)
-        return np.array([self.holds(i, values[i : i + 1])[0] for i in range(len(self))], dtype=np.bool_)
-
-    def holds(self, i: int, y: npt.ArrayLike, n_targets: int = 7) -> BoolArray:
-        """(k,) whether the region of image `i` holds each of k poses (k, 7), or their first targets: 3, positions."""
-        codes, boxes = self.bins.encode(np.asarray(y, dtype=np.float64))[:, :n_targets, None], self.boxes[i]
-        if self.unbounded[i, :n_targets].all():
-            return np.ones(len(codes), dtype=np.bool_)
-        if self.product:
-            runs = zip(self.runs(i)[:n_targets], codes[:, :, 0].T, strict=True)
-            inside = [((run[:, 0] <= at[:, None]) & (at[:, None] < run[:, 1])).any(axis=1) for run, at in runs]
-            return np.asarray((np.array(inside).T | self.unbounded[i, :n_targets]).all(axis=1))
-        low, high = np.moveaxis(boxes[:, :n_targets], 2, 0)
-        return np.asarray(((codes >= low.T) & (codes < high.T)).all(axis=1).any(axis=1))
+        held, codes = super().contains(y, joint), self.bins.encode(np.asarray(y, dtype=np.float64))
+        for i in np.flatnonzero(held & ~self.unbounded.all(axis=1)).tolist():
+            low, high = self.boxes[i][:, :, 0], self.boxes[i][:, :, 1]
+            held[i] = ((low <= codes[i]) & (codes[i] < high)).all(axis=1).any()
+        return held
 
     def box_edges(self, i: int) -> FloatArray:
         """The cuboids (b, 7, 2) of image `i` in the targets' units, the one of the most probable hypothesis first."""
         edges = np.empty(self.boxes[i].shape)
-        for j, its in enumerate(self.bins.edges_):
-            edges[:, j] = its[self.boxes[i][:, j]]
+        for j, target_edges in enumerate(self.bins.edges_):
+            edges[:, j] = target_edges[self.boxes[i][:, j]]
         edges[:, self.unbounded[i]] = (-np.inf, np.inf)
         return edges
 
@@ -143,11 +137,11 @@ class PoseRegions(Regions):
 
         What is missing from the sum of their probabilities is that of elsewhere.
         """
-        its, found = self.supports[i], []
+        support, places = self.supports[i], []
         for (low, high), edges in zip(np.moveaxis(self.boxes[i], 2, 1), self.box_edges(i), strict=True):
-            inside = ((its.cells >= low) & (its.cells < high)).all(axis=1)
-            found.append(summarise(its.candidates.take(np.flatnonzero(inside)), edges))
-        return sorted(found, key=lambda place: -place.probability)
+            inside = ((support.cells >= low) & (support.cells < high)).all(axis=1)
+            places.append(summarise(support.candidates.take(np.flatnonzero(inside)), edges))
+        return sorted(places, key=lambda place: -place.probability)
 
     @property
     def n_places(self) -> IntArray:
@@ -159,8 +153,8 @@ class PoseRegions(Regions):
         """(n,) sum over the cuboids of the product of their lengths."""
         if self.product:
             return super().volume
-        found = np.array([np.ptp(self.box_edges(i), axis=2).prod(axis=1).sum() for i in range(len(self))])
-        return np.where(self.unbounded.any(axis=1), np.inf, found)
+        volumes = np.array([np.ptp(self.box_edges(i), axis=2).prod(axis=1).sum() for i in range(len(self))])
+        return np.where(self.unbounded.any(axis=1), np.inf, volumes)
 
 
 def _supported(runs: list[IntArray], support: Support, masks: list[BoolArray], limit: float) -> IntArray:
@@ -169,8 +163,8 @@ def _supported(runs: list[IntArray], support: Support, masks: list[BoolArray], l
     cells = support.cells[inside & (support.levels <= limit)]
     if not len(cells):
         return np.empty((0, len(runs), 2), dtype=np.int64)
-    its = zip(runs, cells.T, strict=True)
-    boxes = np.stack([run[np.searchsorted(run[:, 0], at, side="right") - 1] for run, at in its], axis=1)
+    columns = zip(runs, cells.T, strict=True)
+    boxes = np.stack([run[np.searchsorted(run[:, 0], at, side="right") - 1] for run, at in columns], axis=1)
     _, first = np.unique(boxes, axis=0, return_index=True)
     return np.asarray(boxes[np.sort(first)])
 
@@ -182,10 +176,10 @@ def pose_regions(
 
     `proba` are seven arrays (n, cells), see :meth:`~conformodal.localizer.belief.Beliefs.marginals`.
     """
-    found = rule.regions_at(list(proba), thresholds)
-    limits = np.broadcast_to(thresholds, found.unbounded.shape)
-    limits = limits.min(axis=1) if _in_shares(rule) else np.full(len(found), np.inf)
-    return PoseRegions(found.bins, found.masks, found.unbounded, supports, limits, product=rule.joint != "max")
+    product = rule.regions_at(list(proba), thresholds)
+    limits = np.broadcast_to(thresholds, product.unbounded.shape)
+    limits = limits.min(axis=1) if _in_shares(rule) else np.full(len(product), np.inf)
+    return PoseRegions(product.bins, product.masks, product.unbounded, supports, limits, product=rule.joint != "max")
 
 
 def pose_scores(
@@ -196,14 +190,14 @@ def pose_scores(
     Where all targets are calibrated together, a cuboid around the pose grows with the level until it contains a
     hypothesis that counts: the largest score of a pose is the level that it takes.
     """
-    own = rule.score_samples(list(proba), targets)
+    scores = rule.score_samples(list(proba), targets)
     if rule.joint != "max":
-        return own
+        return scores
     columns = [rule.scores_of(p, w) for p, w in zip(proba, rule.bins.widths, strict=True)]
     loc, scale = rule.rule.loc_, rule.rule.scale_
     scaled = [(column - a) / b for column, a, b in zip(columns, loc, scale, strict=True)]
     codes, in_shares = rule.bins.encode(targets), _in_shares(rule)
-    least = np.full(len(own), np.inf)
+    least = np.full(len(scores), np.inf)
     for i, support in enumerate(supports):
         if (codes[i] < 0).any() or not len(support.levels):
             continue
@@ -211,10 +205,10 @@ def pose_scores(
         for column, at, cells in zip(scaled, codes[i], support.cells.T, strict=True):
             levels = np.maximum(levels, _highest_between(column[i], int(at), cells))
         least[i] = levels.min()
-    rows, largest = np.arange(len(own)), np.argmax((own - loc) / scale, axis=1)
-    found = own.astype(np.float64)
-    found[rows, largest] = least * scale[largest] + loc[largest]
-    return found
+    rows, largest = np.arange(len(scores)), np.argmax((scores - loc) / scale, axis=1)
+    raised = scores.astype(np.float64)
+    raised[rows, largest] = least * scale[largest] + loc[largest]
+    return raised
 
 
 def _highest_between(row: FloatArray, at: int, cells: IntArray) -> FloatArray:

@@ -336,7 +336,7 @@ def _has_type_for_max_only(rules: RegionRules) -> bool:
     """
     for_max = 1 / as_alpha(rules.overall.alpha) - 1
     for_each = 1 / rules.overall.alpha_per_target - 1
-    return any(for_max <= rule.weight < for_each for rule in rules.own.values())
+    return any(for_max <= rule.weight < for_each for rule in rules.by_type.values())
 
 
 def _appearance(novelty: PlaceNovelty, folds: Folds, data: SourceData) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ from conformodal.core.words import finite_or_none
 from conformodal.geometry import Trajectory, trajectory_errors
 from conformodal.localizer.places import same_place
 from conformodal.localizer.radius import PoseRadius
-from conformodal.localizer.region_rules import MATCHED_TYPES, EvidenceType, RegionRules, Sharing
+from conformodal.localizer.region_rules import EvidenceType
 from conformodal.localizer.targets import TARGET_NAMES
 from conformodal.pipeline.results.statistics import RegionStatistics
 
@@ -32,11 +32,6 @@ _ASSUMPTION_MIXED = (
     "Frames were split at random, so calibration and test frames are exchangeable, and the guarantee holds. "
     "Some images are blurred, dark, bright or noisy as no training image is. Copies that were disturbed at random "
     "calibrate their regions, so there is no exact band for the count."
-)
-_ASSUMPTION_SHARED = (
-    "Frames were split at random, so calibration and test frames are exchangeable. One of the two evidence types of "
-    "matched local features has too few calibration frames for thresholds of its own, so the guarantee is about both "
-    "types together; there is no exact band for the count."
 )
 _ASSUMPTION_STRETCHES = (
     "Thresholds are those of whole stretches (or recordings), answered by sources that had not seen them. The "
@@ -88,19 +83,13 @@ def coverage_table(
     """
     held, finite = statistics.held, statistics.bounded
     rules = model.rules
-    kinds = [(kind, rule, int((statistics.kinds == kind).sum())) for kind, rule in rules.of.items()]
-    # types that share thresholds are one in the law
-    laws: dict[int, tuple[int, int]] = {}
-    for _, rule, count in kinds:
-        laws[id(rule)] = (rule.n_units, laws.get(id(rule), (0, 0))[1] + count)
-    met = [(n, count) for n, count in laws.values() if count]
+    kinds = [(kind, rule, int((statistics.kinds == kind).sum())) for kind, rule in rules.by_type.items()]
+    met = [(rule.n_units, count) for _, rule, count in kinds if count]
     met += [(0, int((statistics.kinds == EvidenceType.UNKNOWN).sum()))]  # always covered
     by_frame = rules.overall.groups_ is None
     one_law = exchangeable and by_frame
     # those that left the range of qualities by chance are not exchangeable with disturbed ones
     one_law = one_law and not (statistics.kinds == EvidenceType.DISTURBED).any()
-    shared = rules.sharing is not Sharing.OWN
-    one_law = one_law and (not shared or _shared_whatever(rules, kinds))
     calibration = model.calibration
     whole = calibration.joint == "max"
     band = grouped_coverage_band(met, calibration.alpha) if one_law and whole else None
@@ -120,7 +109,6 @@ def coverage_table(
             kind.name.lower(): {
                 "frames": count,
                 "calibrated_on": rule.n_units,
-                "thresholds": str(rules.sharing if kind in MATCHED_TYPES else Sharing.OWN),
                 "joint_coverage": float(held[statistics.kinds == kind].mean()) if count else None,
                 **bounded_coverage(held[statistics.kinds == kind], finite[statistics.kinds == kind]),
             }
@@ -140,7 +128,6 @@ def coverage_table(
             whole,
             one_law,
             seen,
-            shared=shared,
             comparison=model.comparison,
         ),
     }
@@ -205,12 +192,6 @@ def bounded_coverage(held: BoolArray, bounded: BoolArray) -> dict[str, Any]:
     return {"n_bounded": n, "bounded_coverage": float(held[bounded].mean()) if n else None}
 
 
-def _shared_whatever(rules: RegionRules, kinds: list[tuple[EvidenceType, SplitConformal, int]]) -> bool:
-    """Whether two types share thresholds however these frames and those that calibrate are drawn from all together."""
-    both = [len(rules.own[kind].scores_) + count for kind, _, count in kinds if kind in MATCHED_TYPES]
-    return min(both) + 1 < 1 / rules.overall.alpha_per_target
-
-
 def _target_row(
     statistics: RegionStatistics, j: int, calibration: SplitConformal, met: list[tuple[int, int]] | None
 ) -> dict[str, Any]:
@@ -235,12 +216,9 @@ def _assumption(
     one_law: bool,
     seen: bool,
     *,
-    shared: bool,
     comparison: SourceComparison | None,
 ) -> str:
     """What the coverage rests on, for people."""
-    if guaranteed and shared and not one_law:
-        return _ASSUMPTION_SHARED
     if guaranteed:
         return (_ASSUMPTION_HELD if whole else _ASSUMPTION_EACH) if one_law else _ASSUMPTION_MIXED
     if seen:

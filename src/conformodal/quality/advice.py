@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from conformodal.core.words import counted, finite_or_none, listed
-from conformodal.localizer.region_rules import EvidenceType, Sharing
+from conformodal.localizer.region_rules import EvidenceType
 
 from .examining import RecordingQuality
 from .guarantee import N_NEW, EvidenceGuarantee
@@ -64,10 +64,9 @@ def _more_units(guarantee: EvidenceGuarantee) -> str:
             "the calibration frames lie beyond the training range."
         )
     what = "frames" if guarantee.by_frame else "stretches or recordings like these"
-    both = " of both evidence types together" if guarantee.sharing is Sharing.SHARED else ""
     return (
         f"Record more: {unbounded}. Calibrated on {_units(guarantee)}; alpha = {guarantee.alpha:g} takes "
-        f"{guarantee.n_needed} {what}{both}."
+        f"{guarantee.n_needed} {what}."
     )
 
 
@@ -135,11 +134,9 @@ def describe_quality(found: RecordingQuality) -> list[str]:
 def describe_guarantee(guarantee: EvidenceGuarantee) -> str:
     """What the regions of one evidence type can guarantee."""
     text = f"regions {WHERE[guarantee.evidence]}: "
-    if not guarantee.n_frames and guarantee.sharing is Sharing.OWN:
+    if not guarantee.n_frames:
         return f"{text}unbounded, no calibration frame"
     text += f"calibrated on {_units(guarantee)}"
-    if guarantee.sharing is not Sharing.OWN:
-        text += f" (thresholds: {guarantee.sharing})"
     text += "" if guarantee.finite else f", unbounded at alpha = {guarantee.alpha:g}"
     text += (
         f", bounded from alpha = {guarantee.least_alpha_shown:g}" if guarantee.least_alpha < 1 else ", never bounded"

@@ -9,7 +9,7 @@ from math import ceil
 import numpy as np
 
 from conformodal.conformal import SplitConformal, coverage_band
-from conformodal.localizer.region_rules import MATCHED_TYPES, EvidenceType, RegionRules, Sharing
+from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.model import PoseModel
 
 N_NEW = 1000
@@ -25,7 +25,6 @@ class EvidenceGuarantee:
     n_frames: int  # of this type that calibrate
     n_units: int  # exchangeable units: these frames, or the stretches or recordings that they belong to
     weight: float  # what they weigh, in whole units: fewer than `n_units` where types share stretches
-    sharing: Sharing  # whether its thresholds are those of its own frames
     finite: bool  # whether its regions are bounded at `alpha`
     weight_needed: float  # the weight from which on a threshold at `alpha` is finite
     # units like those that calibrate which bounded regions at `alpha` need; None where no number of them would do,
@@ -50,23 +49,20 @@ def guarantees(model: PoseModel) -> list[EvidenceGuarantee]:
     """What a model can guarantee, one for each evidence type that has regions of its own."""
     exchangeable = model.frames_are_exchangeable
     rules, found = model.rules, []
-    for kind, rule in rules.of.items():
-        own = rules.own[kind]
-        sharing = rules.sharing if kind in MATCHED_TYPES else Sharing.OWN
-        exact = exchangeable and rule.groups_ is None and rule.joint != "bonferroni" and sharing is Sharing.OWN
+    for kind, rule in rules.by_type.items():
+        exact = exchangeable and rule.groups_ is None and rule.joint != "bonferroni"
         band = coverage_band(rule.n_units, N_NEW, rule.alpha_per_target) if exact and len(rule.scores_) else None
         found.append(
             EvidenceGuarantee(
                 evidence=kind,
                 alpha=float(rule.alpha),
-                n_frames=len(own.scores_),
-                n_units=own.n_units,
-                weight=float(own.weight),
-                sharing=sharing,
+                n_frames=len(rule.scores_),
+                n_units=rule.n_units,
+                weight=float(rule.weight),
                 finite=bool(np.isfinite(rule.thresholds_).all()),
                 weight_needed=float(1 / rule.alpha_per_target - 1),
                 n_needed=_units_needed(rule, rules.overall.n_units),
-                least_alpha=_bounded_from(rules, kind),
+                least_alpha=least_alpha(rule),
                 band=band,
             )
         )
@@ -81,19 +77,6 @@ def _units_needed(rule: SplitConformal, n_units: int) -> int | None:
     # n times as many calibrate with finite thresholds if alpha (n weight + 1) is at least n infinite + 1
     room = rate * rule.weight - _infinite(rule)
     return ceil(n_units * (1 - rate) / room) if room > 0 else None
-
-
-def _bounded_from(rules: RegionRules, kind: EvidenceType) -> Fraction:
-    """The least rate from which on the regions of an evidence type are bounded."""
-    own, both = least_alpha(rules.own[kind]), rules.both
-    if both is None or kind not in MATCHED_TYPES:
-        return own
-    share = both.bins.n_targets if both.joint == "bonferroni" else 1
-    least = min(rule.weight for k, rule in rules.own.items() if k in MATCHED_TYPES)
-    # from the first rate on its own frames count, below the second those of both types do
-    first, second = share / (least + 1), share / least if least else Fraction(1)
-    below = min(second, least_alpha(both))
-    return max(own, below) if own > first else below
 
 
 def _infinite(rule: SplitConformal) -> Fraction:

@@ -85,7 +85,7 @@ def ambiguity(
     own = None if truth is None else scale.nearest(truth, known)
     n_places, elsewhere = np.zeros(len(frames), dtype=np.int64), np.zeros((len(frames), len(known)), dtype=np.bool_)
     for i in np.flatnonzero(~regions.unbounded.any(axis=1)).tolist():
-        held = regions.holds(i, targets)
+        held = regions[np.full(len(targets), i)].contains(targets, joint=True)
         if own is not None:  # the frame's own place counts whether the region reaches a known frame of it or not
             held[own[i]] = True
         part = places.parts(held)
