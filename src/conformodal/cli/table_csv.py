@@ -1,0 +1,228 @@
+"""Reading a CSV file: the separator and the decimal mark are recognised, and what is not clear is refused."""
+
+from __future__ import annotations
+
+import csv
+import io
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from conformodal.core.errors import ConformodalError
+from conformodal.core.words import counted, listed
+
+_SEPARATORS, _SAMPLE = ";\t,|", 1_000_000  # characters
+_SHOWN = 3  # names in a message
+_LEAST_SHARE = 0.95  # of a column's values that must be numbers, or dates, for it to hold them
+_DATE = (  # with a year of four digits, or two at the end
+    r"^((?P<year>\d{4})|\d{1,2})[-./ ](\d{1,2}|[A-Za-z]{3,9})[-./ ,]{1,2}(?(year)\d{1,2}|\d{2}(?:\d{2})?)(?!\d)"
+)
+_GROUPED = r"[-+]?[1-9]\d{0,2}([.,' ])\d{3}(?:\1\d{3})*(?:[.,]\d*)?"  # marks between thousands
+_CODES = [sign * (10**k - 1) for k in (2, 3, 4, 5) for sign in (-1, 1)]  # that often stand for missing values
+
+
+class TableError(ConformodalError):
+    """A file that is not a table, or lacks what is asked for."""
+
+
+@dataclass(frozen=True)
+class CsvFormat:
+    """How a CSV file is written, as :func:`pandas.read_csv` has it; None for what is recognised."""
+
+    sep: str | None = None
+    decimal: str | None = None
+    thousands: str | None = None
+    na_values: Sequence[str] = field(default_factory=tuple)
+
+    def __post_init__(self) -> None:
+        for name in ("sep", "decimal", "thousands"):
+            mark = getattr(self, name)
+            if mark is not None and len(mark) != 1:
+                raise TableError(f"--{name} must be one character, got {mark!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """The text of all cells, without blanks around it."""
+
+    columns: pd.DataFrame
+    separator: str
+    notes: list[str]  # on how the file is arranged
+
+
+def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFrame, list[str]]:
+    """A CSV file with its numbers and dates read, and notes on how.
+
+    Commas, semicolons, tabs or bars separate; UTF-8, UTF-16 and the encoding of Western Windows are read. A column
+    holds numbers or dates if 95 % of its values do; the others are then missing. The mark before decimals is that of
+    most cells; where none leaves no doubt, a comma beside semicolons, else a point. Marks between thousands are read
+    where `written` names them, and refused elsewhere.
+    """
+    cells = _cells(file, written)
+    notes, columns = cells.notes, {}
+    decimal = written.decimal or _decimal_mark(cells)
+    for name in cells.columns:
+        column = cells.columns[name]
+        values = _numbers(file, column, decimal, written.thousands)
+        if values is None:
+            values = _dates(column, cells.separator)
+        columns[name] = values = column if values is None else values
+        if values.dtype.kind == "M":
+            at = (values.dt.day != values.dt.month).where(values.notna(), False).idxmax()
+            notes.append(f"{name}: dates, of which {column[at]!r} is read as {values[at]:%Y-%m-%d}")
+        elif values.dtype.kind == "f":
+            notes += [f"{name}: {note}" for note in _doubts(column, values, written)]
+        if len(lost := column[values.isna() & column.notna()]):
+            notes.append(f"{name}: {counted(len(lost), 'value')} taken as missing, such as {lost.iloc[0]!r}")
+    return pd.DataFrame(columns), notes
+
+
+def _cells(file: Path, written: CsvFormat) -> _Cells:
+    text = _text(file)
+    above, separator, width = _arrangement(text, file, written.sep or _SEPARATORS)
+    shape: dict[str, Any] = {"sep": separator, "skiprows": above, "header": None, "names": range(width)}
+    shape |= {"na_values": list(written.na_values), "skipinitialspace": True, "index_col": False}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # of rows longer than those looked at
+            raw = pd.read_csv(io.StringIO(text), dtype=str, **shape)
+    except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning) as exc:
+        raise TableError(f"{file}: cannot be read as CSV: {' '.join(str(exc).split())}") from None
+    if raw.empty:
+        raise TableError(f"{file}: cannot be read as CSV: holds no values")
+    raw = raw.apply(lambda column: column.str.strip().replace("", None))
+    head, raw = raw.iloc[0], raw[1:].reset_index(drop=True)
+    n_named = int(np.flatnonzero(head.notna())[-1]) + 1
+    quotes = f"values that hold {separator!r}, as decimal commas, need quotes or another separator"
+    more = np.flatnonzero(raw.iloc[:, n_named:].notna().any(axis=1))
+    if more.size:
+        raise TableError(f"{file}: row {more[0] + 1} has more values than the {n_named} names of columns; {quotes}")
+    names = [f"column {j + 1}" if pd.isna(name) else str(name) for j, name in enumerate(head[:n_named])]
+    if pd.to_numeric(pd.Series(names), errors="coerce").notna().all():
+        raise TableError(f"{file}: expected names above the columns, got {', '.join(names[:_SHOWN])}; {quotes}")
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise TableError(f"{file}: several columns are called {listed(twice)}; rename them")
+    notes = [f"{file}: {counted(len(raw), 'row')}, {counted(n_named, 'column')} separated by {separator!r}"]
+    notes += [f"{counted(above, 'line')} above the names passed over"] if above else []
+    joined = np.flatnonzero(raw.apply(lambda column: column.str.contains(r"[\r\n]", na=False)).any(axis=1))
+    if joined.size:
+        number = counted(joined.size, "row has values", "rows have values")
+        notes.append(f"{number} of several lines, such as row {joined[0] + 1}; a quote that is not closed joins rows")
+    return _Cells(raw.iloc[:, :n_named].set_axis(names, axis=1), separator, notes)
+
+
+def _text(file: Path) -> str:
+    try:
+        content = file.read_bytes()
+    except OSError as exc:
+        raise TableError(f"{file}: cannot be read: {exc.strerror}") from None
+    marked = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    if b"\0" in content and not marked:
+        raise TableError(f"{file}: is not text; save the spreadsheet as CSV")
+    for encoding in ["utf-16"] if marked else ["utf-8-sig", "cp1252", "latin-1"]:
+        with suppress(UnicodeDecodeError):
+            return content.decode(encoding)
+    raise TableError(f"{file}: its text cannot be decoded as UTF-16; save it as CSV in UTF-8")
+
+
+def _arrangement(text: str, file: Path, separators: str) -> tuple[int, str, int]:
+    """Lines above the names, the separator, and the most values of a row.
+
+    Most rows have equally many values, more than one; names have as many. Of several separators, the one with the least
+    above the names is right.
+    """
+    candidates, endless = [], 0
+    for k, separator in enumerate(separators):
+        reader = csv.reader(io.StringIO(text[:_SAMPLE], newline=""), delimiter=separator, skipinitialspace=True)
+        rows, at = [], 0
+        try:
+            for row in reader:
+                filled = [i for i, value in enumerate(row, start=1) if value.strip()]
+                rows += [(at, filled[-1], len(row))] if filled else []
+                at = reader.line_num
+        except csv.Error:  # a value longer than Python's limit
+            endless = at + 1
+            continue
+        usual = Counter(n for _, n, _ in rows).most_common(1)[0][0] if rows else 1
+        above = next((at for at, n, _ in rows if n >= usual), 0)
+        candidates.append((usual == 1, above, k, separator, max((n for *_, n in rows), default=1)))
+    if endless and all(single for single, *_ in candidates):
+        limit = csv.field_size_limit()
+        raise TableError(f"{file}: line {endless}: a value has more than {limit} characters; is its quote not closed?")
+    _, above, _, separator, width = min(candidates)
+    return above, separator, width
+
+
+def _decimal_mark(cells: _Cells) -> str:
+    marks = Counter[str]()
+    for name in cells.columns:
+        for mark, other in (".,", ",."):  # three digits may follow a mark between thousands, but not after 0 or 1234
+            pattern = rf"[-+]?([\d' {other}]*\{mark}(\d{{1,2}}|\d{{4,}})|(0|\d{{4,}})?\{mark}\d{{3}})"
+            marks[mark] += int(cells.columns[name].str.fullmatch(pattern).sum())
+    if marks["."] == marks[","]:
+        return "," if cells.separator == ";" else "."
+    return max(marks, key=lambda mark: marks[mark])
+
+
+def _numbers(file: Path, column: pd.Series, decimal: str, thousands: str | None) -> pd.Series | None:
+    """The numbers of a column of text; None if it holds none."""
+    given = column.dropna()
+    grouped = given.str.fullmatch(_GROUPED)
+    digits = given
+    if thousands:
+        marked = given.str.contains(thousands, regex=False)
+        digits = given.where(~marked | grouped).str.replace(thousands, "", regex=False)
+    if decimal != ".":
+        digits = digits.where(~digits.str.contains(".", regex=False, na=False)).str.replace(decimal, ".", regex=False)
+    numbers = pd.to_numeric(digits, errors="coerce")
+    grouped &= numbers.isna()
+    if given.empty or (numbers.notna() | grouped).mean() < _LEAST_SHARE:
+        return None
+    if grouped.any():
+        raise TableError(
+            f"{file}: column {column.name!r}: {given[grouped].iloc[0]!r} may have marks between thousands; name "
+            "them by --thousands, or the decimal mark by --decimal"
+        )
+    return numbers.astype(float).replace([np.inf, -np.inf], np.nan).reindex(column.index)
+
+
+def _dates(column: pd.Series, separator: str) -> pd.Series | None:
+    """Dates, in UTC where they have a time zone; None where they are none, or nobody knows which part is the month."""
+    given = column.dropna()
+    parts = given.str.extract(_DATE)
+    if given.empty or parts[0].notna().mean() < _LEAST_SHARE:
+        return None
+    first, second = (pd.to_numeric(parts[k], errors="coerce") for k in (0, 2))
+    year_first = first > 31
+    day_first = bool((first[~year_first] > 12).any())
+    month_first = bool((second[~year_first] > 12).any())
+    if day_first and month_first:
+        return None
+    day_first |= not month_first and bool(separator == ";" or given[~year_first].str.match(r"\d+\.").all())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of days and months in another order
+        how: dict[str, Any] = {"errors": "coerce", "format": "mixed", "utc": True}
+        dates = pd.to_datetime(given.mask(year_first), dayfirst=day_first, **how)
+        dates = dates.fillna(pd.to_datetime(given.where(year_first), **how))
+    dates = dates.dt.tz_localize(None).reindex(column.index)
+    return dates if dates.notna().sum() >= _LEAST_SHARE * len(given) else None
+
+
+def _doubts(column: pd.Series, values: pd.Series, written: CsvFormat) -> list[str]:
+    """Notes on numbers that could mean another thing."""
+    notes = []
+    decimals = column[values.notna() & column.str.contains("[.,]", na=False)]
+    if not (written.decimal or written.thousands) and len(decimals) and decimals.str.fullmatch(_GROUPED).all():
+        at = decimals.index[0]
+        notes.append(f"{column[at]!r} is read as {values[at]:.12g}; else name --thousands or --decimal")
+    codes = values[values.isin(_CODES)]
+    if len(codes) > 1 and codes.iloc[0] in (values.min(), values.max()):
+        notes.append(f"{codes.iloc[0]:g} occurs {len(codes)} times; --na-values={codes.iloc[0]:g} if it means missing")
+    return notes
