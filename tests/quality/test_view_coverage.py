@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Trajectory
-from conformodal.quality.advice import describe_quality, record_next
+from conformodal.quality.advice import advice, numbers, verdict
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.view_coverage import ViewScale, pose_coverage
 
@@ -41,14 +41,14 @@ def quality(poses, known, recording=ONE):
     coverage = pose_coverage(poses, recording[: len(poses)], known, SCALE)
     names = np.flatnonzero(np.isin(poses.timestamps_s, known.timestamps_s))
     sequence = SimpleNamespace(recording=recording[: len(poses)])
-    found = RecordingQuality(sequence, np.arange(len(poses)), poses, names, SCALE, coverage, None, [])
-    return found, record_next(found)
+    found = RecordingQuality(sequence, np.arange(len(poses)), poses, names, SCALE, coverage)
+    return found, advice(found)
 
 
 def test_unknown_frames_far_from_every_known_one_are_sparsely_covered():
     poses = corridor()
     known = poses[(EVERY < 50) | (EVERY >= 70)]
-    found, advice = quality(poses, known)
+    found, lines = quality(poses, known)
     # 0.04 m a frame: eight frames or more from 49 and from 70 are more than 0.3 m
     assert np.flatnonzero(found.coverage.sparse_frames).tolist() == [57, 58, 59, 60, 61, 62]
     (one,) = found.coverage.sparse
@@ -57,39 +57,39 @@ def test_unknown_frames_far_from_every_known_one_are_sparsely_covered():
     assert one.place_xyz[0] == pytest.approx(59.5 * 0.04, abs=0.03)
     assert one.nearest in (49, 50)
     assert found.coverage.fast == []
-    assert len(advice) == 1
-    assert "frames 57 to 62 (around x=2.4, y=0.0)" in advice[0]
-    assert "0.40 m and 0 degrees" in advice[0]
+    assert len(lines) == 1
+    assert "frames 57 to 62 (around x=2.4, y=0.0)" in lines[0]
+    assert "0.40 m and 0 degrees" in lines[0]
 
 
 def test_only_frames_that_the_model_was_not_trained_on_are_counted_as_sparsely_covered():
     poses = corridor()
     unknown = (EVERY >= 50) & (EVERY < 70)
-    said = describe_quality(quality(poses, poses[~unknown])[0])[0]
+    said = numbers(quality(poses, poses[~unknown])[0])[0]
     assert "6 of 20 frames" in said
     # a check without a model takes all frames as known: it must not say that none of them is sparsely covered
-    assert "covered" not in describe_quality(quality(poses, poses)[0])[0]
+    assert "covered" not in numbers(quality(poses, poses)[0])[0]
 
 
 def test_a_piece_cut_out_of_a_recording_is_found():
     whole = corridor()
     cut = whole[(EVERY < 50) | (EVERY >= 70)]
-    found, advice = quality(cut, cut)
+    found, lines = quality(cut, cut)
     assert found.coverage.sparse == []
     (one,) = found.coverage.fast
     assert (one.first, one.last) == (49, 50)
     assert one.distance_m == pytest.approx(21 * 0.04)
-    assert "frames 49 to 50" in advice[0]
-    assert "record more views" in advice[0]
+    assert "frames 49 to 50" in lines[0]
+    assert "record more views" in lines[0]
 
 
 @pytest.mark.parametrize("poses", [corridor(), yaw(EVERY * 0.02), path(np.zeros((N, 3)))], ids=["way", "turn", "still"])
 def test_where_nothing_is_missing_nothing_is_reported(poses):
-    found, advice = quality(poses, poses)
+    found, lines = quality(poses, poses)
     assert found.coverage.sparse == []
     assert found.coverage.fast == []
-    assert advice == []
-    assert "15 % of the field of view, 12.9 degrees or 0.45 m): nowhere" in describe_quality(found)[0]
+    assert lines == []
+    assert verdict(found) == "good enough: yes"
 
 
 def test_between_two_recordings_nothing_is_missing():
@@ -102,24 +102,24 @@ def test_between_two_recordings_nothing_is_missing():
 
 def test_turns_that_are_missing_are_found():
     turning = yaw(0.02 * EVERY)
-    found, advice = quality(turning, turning[:60])
+    found, lines = quality(turning, turning[:60])
     (one,) = found.coverage.sparse
     # frame 59 is the last that is known; 0.16 rad are more than 0.15
     assert (one.first, one.last) == (67, 119)
     assert one.angle_deg == pytest.approx(np.degrees(60 * 0.02), rel=0.02)
-    assert "(known frame 59)" in advice[0]
+    assert "(known frame 59)" in lines[0]
 
 
 def test_fast_turns_are_found_where_they_are():
     rates = np.where((EVERY >= 40) & (EVERY < 45), 0.24, 0.02)
     poses = yaw(np.concatenate(([0.0], np.cumsum(rates)))[:N])
-    found, advice = quality(poses, poses)
+    found, lines = quality(poses, poses)
     assert found.coverage.sparse == []
     (one,) = found.coverage.fast
     assert (one.first, one.last) == (40, 45)
     assert one.angle_deg == pytest.approx(np.degrees(0.24))
-    assert "slowly in frames 40 to 45 (around x=0.0, y=0.0)" in advice[0]
-    assert advice[0].endswith("up to 0.00 m and 14 degrees per frame.")
+    assert "slowly in frames 40 to 45 (around x=0.0, y=0.0)" in lines[0]
+    assert lines[0].endswith("up to 0.00 m and 14 degrees per frame.")
 
 
 def test_the_nearest_view_is_the_one_that_a_search_through_all_finds():
@@ -140,9 +140,9 @@ def test_the_nearest_view_is_the_one_that_a_search_through_all_finds():
 
 def test_without_a_known_frame_all_is_to_be_recorded():
     poses = corridor()
-    found, advice = quality(poses, poses[:0])
+    found, lines = quality(poses, poses[:0])
     assert found.coverage.sparse_frames.all()
-    assert advice == ["Train on frames 0 to 119 (around x=0.0, y=0.0): nothing is known."]
+    assert lines == ["Train on frames 0 to 119 (around x=0.0, y=0.0): nothing is known."]
 
 
 def test_stretches_are_numbered_by_frames_where_some_have_no_pose():

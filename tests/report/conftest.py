@@ -8,7 +8,6 @@ import pytest
 from conformodal.geometry import Trajectory
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.results.records import region_record
-from conformodal.pipeline.results.writer import ResultsWriter
 from conformodal.report.viewer import Thumbnails
 
 CHECKS = (Path(__file__).parent / "checks.js").read_text(encoding="utf-8")
@@ -44,31 +43,30 @@ def opened(browser):
     assert trouble == []
 
 
-def made_up_run(folder, n=60, truth=True, whole_line=False):
-    """A camera on a circle whose region holds a second place on the other side."""
+def made_up_run(n=60, truth=True, whole_line=False):
+    """What :func:`make_viewer` shows: a camera on a circle whose region holds a second place on the other side."""
     rng = np.random.default_rng(0)
     angle = np.linspace(0, 5, n)
     places = np.column_stack((2 * np.cos(angle), 2 * np.sin(angle), 0.1 * angle))
     quats = np.column_stack((np.cos(angle / 2), np.zeros((n, 2)), np.sin(angle / 2)))
     times = 0.1 * np.arange(n)
-    pictures = Thumbnails()
-    with ResultsWriter(folder) as writer:
-        writer.poses("smoothed", Trajectory(times, places + 0.01, quats))
-        writer.poses("classical", Trajectory(times, places + 0.3, quats))
-        if truth:
-            writer.truth(Trajectory(times, places, quats))
-        for i in range(n):
-            around = [np.array([[v - 0.1, v + 0.1]]) for v in (*places[i], *quats[i])]
-            kind, p = EvidenceType.GLOBAL, 0.5
-            if i >= 30:
-                around[0] = np.array([[-3, -2.7], [places[i, 0] - 0.1, places[i, 0] + 0.1]])
-            if whole_line and i == 5:
-                around[1] = np.array([[-np.inf, np.inf]])
-            if i == 7:
-                around, kind, p = [np.array([[-np.inf, np.inf]])] * 7, EvidenceType.UNKNOWN, 0.003
-            writer.region(region_record(f"frame-{i:03d}", times[i], None, around, p, kind))
-            pictures.add(f"frame-{i:03d}", rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
-    return pictures.kept
+    pictures, records = Thumbnails(), []
+    for i in range(n):
+        around = [np.array([[v - 0.1, v + 0.1]]) for v in (*places[i], *quats[i])]
+        kind, p = EvidenceType.GLOBAL, 0.5
+        if i >= 30:
+            around[0] = np.array([[-3, -2.7], [places[i, 0] - 0.1, places[i, 0] + 0.1]])
+        if whole_line and i == 5:
+            around[1] = np.array([[-np.inf, np.inf]])
+        if i == 7:
+            around, kind, p = [np.array([[-np.inf, np.inf]])] * 7, EvidenceType.UNKNOWN, 0.003
+        records.append(region_record(f"frame-{i:03d}", times[i], None, around, p, kind))
+        pictures.add(f"frame-{i:03d}", rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
+    trajectories = {
+        "smoothed": Trajectory(times, places + 0.01, quats),
+        "classical": Trajectory(times, places + 0.3, quats),
+    }
+    return records, trajectories, Trajectory(times, places, quats) if truth else None, pictures.jpegs
 
 
 @pytest.fixture(scope="session")

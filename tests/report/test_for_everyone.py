@@ -34,7 +34,7 @@ KINDS = ["run", "bare"]
 
 
 def run_page(folder, make_run, n=60, **options):
-    viewer = make_viewer(folder, make_run(folder, n, **options), 0.01, [np.array([[-2.0, -2.0], [2.0, -2.0]])])
+    viewer = make_viewer(*make_run(n, **options), 0.01, [np.array([[-2.0, -2.0], [2.0, -2.0]])])
     chart = Figure(figsize=(10, 4))
     chart.subplots().plot([0, 1], [0, 1])
     figures = [PageFigure("chart", "A chart", "Errors of one.", as_svg(chart))]
@@ -46,8 +46,7 @@ def run_page(folder, make_run, n=60, **options):
 def pages(make_run, tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
     bare = {"provenance": {}, "configuration": {}, "n_answered": 1, "split_note": "all frames."}
-    make_run(folder / "bare", n=1, truth=False)
-    viewer = make_viewer(folder / "bare", {})
+    viewer = make_viewer(*make_run(1, truth=False)[:2])
     write_page(folder / "bare" / "report.html", ReportContent("one frame", ["1 frame."], bare, viewer=viewer))
     run = run_page(folder / "run", make_run)
     return {"run": run, "bare": folder / "bare" / "report.html"}

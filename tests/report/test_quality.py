@@ -27,18 +27,18 @@ def examined(known=None):
     coverage = pose_coverage(poses, ZERO, poses[known], scale)
     paths, camera = tuple(Path(f"{i}.png") for i in EVERY), PinholeCamera(9, 9, 8, 8, 16, 16)
     sequence = Recording("<b>", paths, poses.timestamps_s, ZERO, camera, poses)
-    return RecordingQuality(sequence, EVERY, poses, np.flatnonzero(known), scale, coverage, None, [])
+    return RecordingQuality(sequence, EVERY, poses, np.flatnonzero(known), scale, coverage)
 
 
 def test_the_plan_tells_kinds_apart_by_marks_and_words():
     plan = quality_plan(examined())
-    for said in ("well covered (114 frames)", "sparsely covered (6)", "57-62"):
-        assert said in plan
+    for label in ("well covered (114)", "sparsely covered (6)", "57-62"):
+        assert label in plan
     assert "sparsely" not in "".join(re.findall(r"<text[^>]*>([^<]*)", quality_plan(examined(EVERY >= 0))))
 
 
 @pytest.mark.parametrize("missing", [True, False])
-def test_the_page_says_what_to_record_next(tmp_path, missing):
+def test_the_page_names_what_to_record_next(tmp_path, missing):
     found = examined(None if missing else EVERY >= 0)
     made = {"provenance": {}, "configuration": {}, "quality": quality_record(found)}
     write_quality_page(tmp_path, found, made, ["2 x image cannot be read: a.png"])

@@ -10,15 +10,14 @@ from PIL import Image
 from conformodal.geometry import Trajectory
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.results.records import region_record
-from conformodal.pipeline.results.writer import ResultsWriter
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
 
 METRICS = {"provenance": {}, "configuration": {}, "n_answered": 60, "split_note": "all frames."}
 
 
-def page_of(folder, pictures, title="a run"):
-    viewer = make_viewer(folder, pictures)
+def page_of(folder, run, title="a run"):
+    viewer = make_viewer(*run)
     write_page(folder / "report.html", ReportContent(title, ["first line"], METRICS, viewer=viewer))
     return folder / "report.html"
 
@@ -42,7 +41,7 @@ def ink(page, canvas):
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_clicking_through_the_page(opened, make_run, tmp_path, scheme):
-    path = page_of(tmp_path, make_run(tmp_path))
+    path = page_of(tmp_path, make_run())
     page = opened(path, scheme=scheme, size=(1000, 1400))
     canvases = ["plan", "space", "band-x", "band-y", "band-z", "known", "size", "error", "angle"]
     first = {name: ink(page, name) for name in canvases}
@@ -82,8 +81,7 @@ def test_clicking_through_the_page(opened, make_run, tmp_path, scheme):
 
 @pytest.mark.slow
 def test_a_run_without_truth_images_or_bounds_is_shown_too(opened, make_run, tmp_path):
-    make_run(tmp_path, n=12, truth=False, whole_line=True)
-    page = opened(page_of(tmp_path, {}))
+    page = opened(page_of(tmp_path, make_run(12, truth=False, whole_line=True)[:3]))
     assert page.locator("canvas").count() == 7
     assert page.locator("#frame").count() == 0
     page.fill("#scrub", "5")
@@ -92,39 +90,39 @@ def test_a_run_without_truth_images_or_bounds_is_shown_too(opened, make_run, tmp
 
 def test_long_runs_are_thinned_and_stay_small(make_run, tmp_path):
     n = 1200
-    pictures = make_run(tmp_path, n=n)
-    assert len(pictures) <= 1000
-    path = page_of(tmp_path, pictures)
-    found = json.loads(re.search(r'id="viewer-data">(.*?)</script>', path.read_text(), re.DOTALL)[1])
-    assert 500 <= len(found["frames"]) <= 1000
-    steps = np.diff([frame["t"] for frame in found["frames"]])
+    run = make_run(n)
+    assert len(run[-1]) <= 1000
+    path = page_of(tmp_path, run)
+    shown = json.loads(re.search(r'id="viewer-data">(.*?)</script>', path.read_text(), re.DOTALL)[1])
+    assert 500 <= len(shown["frames"]) <= 1000
+    steps = np.diff([frame["t"] for frame in shown["frames"]])
     np.testing.assert_allclose(steps, steps[0], atol=1e-6)  # evenly
-    assert all("img" in frame for frame in found["frames"])
-    assert f"{len(found['frames'])} of {n} frames are shown" in path.read_text()
+    assert all("img" in frame for frame in shown["frames"])
+    assert f"{len(shown['frames'])} of {n} frames are shown" in path.read_text()
 
 
-def test_a_frame_that_shows_no_known_place_has_no_box(tmp_path):
+def test_a_frame_that_shows_no_known_place_has_no_box():
     one = Trajectory(np.array([0.0, 0.1]), np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)))
     whole = [np.array([[-np.inf, np.inf]])] * 7
-    with ResultsWriter(tmp_path) as writer:
-        writer.poses("smoothed", one)
-        writer.region(region_record("a", 0.0, None, [np.array([[0.0, 1.0]])] * 7, 0.43, EvidenceType.LANDMARKS))
-        writer.region(region_record("b", 0.1, None, whole, 0.003, EvidenceType.UNKNOWN))
-    viewer = make_viewer(tmp_path, {}, 0.01)
+    records = [
+        region_record("a", 0.0, None, [np.array([[0.0, 1.0]])] * 7, 0.43, EvidenceType.LANDMARKS),
+        region_record("b", 0.1, None, whole, 0.003, EvidenceType.UNKNOWN),
+    ]
+    viewer = make_viewer(records, {"smoothed": one}, level=0.01)
     assert viewer["known"]
     data = json.loads(viewer["json"])
     assert data["level"] == 0.01
-    seen, unknown = data["frames"]
-    assert (seen["kp"], seen["ev"], seen["whole"], seen["ok"]) == (0.43, "landmarks", False, True)
+    known, unknown = data["frames"]
+    assert (known["kp"], known["ev"], known["whole"], known["ok"]) == (0.43, "landmarks", False, True)
     assert (unknown["kp"], unknown["ev"], unknown["whole"], unknown["ok"]) == (0.003, "unknown", True, False)
     assert unknown["size"] is None
 
 
 def test_thumbnails_are_spread_evenly():
-    kept = Thumbnails(most=10, width=8)
+    thumbnails = Thumbnails(most=10, width=8)
     for i in range(95):
-        kept.add(str(i), np.full((6, 16, 3), i, np.uint8))
-    numbers = [int(name) for name in kept.kept]
+        thumbnails.add(str(i), np.full((6, 16, 3), i, np.uint8))
+    numbers = [int(name) for name in thumbnails.jpegs]
     assert len(numbers) <= 10
     assert len(set(np.diff(numbers))) == 1
     assert numbers[-1] >= 80

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,8 +36,8 @@ class RecordingQuality:
     known_names: IntArray
     scale: ViewScale
     coverage: PoseCoverage | None  # from poses alone; None without
-    ambiguity: Ambiguity | None  # of held-out frames; None without a model, or where it knows all frames
-    guarantees: list[EvidenceGuarantee]  # of the model, by evidence type; empty without one
+    ambiguity: Ambiguity | None = None  # of held-out frames; None without a model, or where it knows all frames
+    guarantees: list[EvidenceGuarantee] = field(default_factory=list)  # of the model, by evidence type
 
     @property
     def known(self) -> BoolArray:
@@ -52,15 +52,11 @@ class RecordingQuality:
         return first, second
 
 
-# Gives, of held-out frames, those that can be used and what is looked at in each.
-Look = Callable[[IntArray], tuple[IntArray, FrameEvidence]]
-
-
 def examine(
     sequence: Recording,
     model: PoseModel | None = None,
     *,
-    just_trained: Look | None = None,
+    just_trained: bool = False,
     cache: FeatureCache | None = None,
     progress: StageProgress | None = None,
 ) -> RecordingQuality:
@@ -69,54 +65,47 @@ def examine(
     Parameters
     ----------
     model
-        The frames that it was trained on are known by their pixels; the others are held out. None takes all frames as
-        known.
+        The frames that it was trained on are recognised by their pixels; the others are held out. None takes all
+        frames as known.
     just_trained
-        Given if the model was trained on this very sequence: held-out frames are looked at by it.
+        Whether the model was trained on this very recording: fewer held-out frames are looked at then.
     """
     posed, poses, recording = sequence.posed, sequence.poses, sequence.recording
     if model is None:
         scale = ViewScale.of(sequence.camera, depth_or_default(_depth(sequence)))
         coverage = None if poses is None else pose_coverage(poses, recording[posed], poses, scale, posed)
-        return RecordingQuality(sequence, posed, poses, posed, scale, coverage, None, [])
+        return RecordingQuality(sequence, posed, poses, posed, scale, coverage)
     model.check_camera(sequence.camera)
     frames = model.localizer.frames
     at = frames if just_trained else model.known_frames.find(identify(sequence, model.known_frames)).at[frames]
-    its = model.known_frames.poses[frames]
-    known = Trajectory(np.arange(len(its), dtype=np.float64), its[:, :3], its[:, 3:])
+    rows = model.known_frames.poses[frames]
+    known = Trajectory(np.arange(len(rows), dtype=np.float64), rows[:, :3], rows[:, 3:])
     scale = ViewScale.of(sequence.camera, depth_or_default(model.prior.depth_m))
     coverage = None if poses is None else pose_coverage(poses, recording[posed], known, scale, posed)
-    unseen, places = np.setdiff1d(np.arange(len(sequence)), at), None
+    unseen = np.setdiff1d(np.arange(len(sequence)), at)
     most = QUALITY.most_after_training if just_trained else QUALITY.most_looked
     unseen = unseen[evenly_spread(len(unseen), most)]
-    held, evidence = (just_trained or _looker(sequence, model, cache or FeatureCache(None), progress))(unseen)
-    if len(held):
-        truth = poses[np.searchsorted(posed, held)] if poses is not None and np.isin(held, posed).all() else None
-        found = model.localize(evidence)
-        places = ambiguity(held, recording[held], found, known, truth, model.sign_reference, scale)
+    held_out, evidence = _look(sequence, model, unseen, cache or FeatureCache(None), progress)
+    places = ambiguity(held_out, recording[held_out], model.localize(evidence), scale) if len(held_out) else None
     return RecordingQuality(sequence, posed, poses, at, scale, coverage, places, guarantees(model))
 
 
-def _looker(sequence: Recording, model: PoseModel, cache: FeatureCache, progress: StageProgress | None) -> Look:
-    """Computes features of images; images that cannot be read are left out."""
-
-    def look(wanted: IntArray) -> tuple[IntArray, FrameEvidence]:
-        report, usable, local = stage_of(progress, "held-out"), [], []
-        for done, i in enumerate(wanted.tolist(), start=1):
-            try:
-                sequence.image(i)
-            except ImageError:
-                continue
+def _look(
+    sequence: Recording, model: PoseModel, frames: IntArray, cache: FeatureCache, progress: StageProgress | None
+) -> tuple[IntArray, FrameEvidence]:
+    """Those of some frames whose images can be read, and what is looked at in each."""
+    report, usable, local = stage_of(progress, "held-out"), [], []
+    for done, i in enumerate(frames.tolist(), start=1):
+        with suppress(ImageError):
+            sequence.image(i)
             usable.append(i)
             if model.looks_at_local_features:
                 local.append(frame_features(sequence, i))
-            if report is not None:
-                report(done, len(wanted))
-        files = [sequence.image_paths[i] for i in usable]
-        features = extract_features(files, model.backbone, cache, stage_of(progress, "network"), sequence.noise)
-        return np.array(usable, dtype=np.int64), FrameEvidence(features, local)
-
-    return look
+        if report is not None:
+            report(done, len(frames))
+    files = [sequence.image_paths[i] for i in usable]
+    features = extract_features(files, model.backbone, cache, stage_of(progress, "network"), sequence.noise)
+    return np.array(usable, dtype=np.int64), FrameEvidence(features, local)
 
 
 def _depth(sequence: Recording) -> float:

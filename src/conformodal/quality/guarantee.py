@@ -1,100 +1,83 @@
-"""What calibration can guarantee with a given number of frames or stretches, by evidence type."""
+"""What the calibration of a model guarantees, by evidence type."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from math import ceil
 
 import numpy as np
 
-from conformodal.conformal import SplitConformal, coverage_band
+from conformodal.conformal import coverage_band
+from conformodal.core.words import counted
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.model import PoseModel
 
 N_NEW = 1000
-_DIGITS = 10_000
+WHERE = {
+    EvidenceType.GLOBAL: "in all images",
+    EvidenceType.UNMATCHED: "where landmarks recognise no place",
+    EvidenceType.LANDMARKS: "where landmarks recognise the place",
+    EvidenceType.DISTURBED: "where images are blurred, dark, bright or noisy as none in training",
+}
 
 
 @dataclass(frozen=True)
 class EvidenceGuarantee:
-    """What the regions of one evidence type can guarantee."""
+    """What the regions of one evidence type guarantee."""
 
     evidence: EvidenceType
     alpha: float  # the miscoverage rate in force
     n_frames: int  # of this type that calibrate
     n_units: int  # exchangeable units: these frames, or the stretches or recordings that they belong to
-    weight: float  # what they weigh, in whole units: fewer than `n_units` where types share stretches
+    weight: float  # of these frames, in whole units: fewer than `n_units` where types share stretches
+    weight_needed: float  # for a finite threshold at `alpha`
     finite: bool  # whether its regions are bounded at `alpha`
-    weight_needed: float  # the weight from which on a threshold at `alpha` is finite
-    # units like those that calibrate which bounded regions at `alpha` need; None where no number of them would do,
-    # because too many frames lie beyond the training range
-    n_needed: int | None
-    least_alpha: Fraction  # the least rate from which on regions are bounded, exact; 1 where there is none
     # central 99 % interval of the coverage of new frames, over all calibrations and frames; None where no law is exact
     band: tuple[float, float] | None
 
     @property
-    def by_frame(self) -> bool:
-        """Whether frames are exchangeable, not stretches or recordings."""
-        return self.weight == self.n_frames
+    def beyond_range(self) -> bool:
+        """Whether regions are unbounded because calibration frames lie beyond the training range, not too few."""
+        return not self.finite and self.weight >= self.weight_needed
 
-    @property
-    def least_alpha_shown(self) -> float:
-        """The least rate, rounded up to four digits, so that it can be asked for."""
-        return ceil(self.least_alpha * _DIGITS) / _DIGITS
+    def describe(self) -> str:
+        """The guarantee in one line."""
+        text = f"regions {WHERE[self.evidence]}: {'bounded' if self.finite else 'unbounded'} at alpha = {self.alpha:g}"
+        if self.weight == self.n_frames:
+            text += f", calibrated on {counted(self.n_frames, 'frame')}"
+        else:
+            units = counted(self.n_units, "stretch or recording", "stretches or recordings")
+            text += f", calibrated on {counted(self.n_frames, 'frame')} of {units} (weight {self.weight:.1f}"
+            text += f", at least {self.weight_needed:g} needed)"
+        if self.band is not None and self.finite:
+            text += f"; cover {self.band[0]:.3f} to {self.band[1]:.3f} of {N_NEW} new frames (99 % band)"
+        return text
+
+    def advice(self) -> str:
+        """What to record so that regions are bounded."""
+        unbounded = f"regions are unbounded {WHERE[self.evidence]}"
+        if self.beyond_range:
+            return f"Record training data that reaches further: {unbounded}; calibration frames lie beyond it."
+        times = f"{ceil(self.weight_needed / self.weight)} times as much" if self.weight else "more"
+        return f"Record {times}, or ask for a larger alpha than {self.alpha:g}: {unbounded}."
 
 
 def guarantees(model: PoseModel) -> list[EvidenceGuarantee]:
-    """What a model can guarantee, one for each evidence type that has regions of its own."""
-    exchangeable = model.frames_are_exchangeable
-    rules, found = model.rules, []
-    for kind, rule in rules.by_type.items():
-        exact = exchangeable and rule.groups_ is None and rule.joint != "bonferroni"
-        band = coverage_band(rule.n_units, N_NEW, rule.alpha_per_target) if exact and len(rule.scores_) else None
-        found.append(
+    """The guarantees of a model, one for each evidence type that has regions of its own."""
+    listed = []
+    for evidence, rule in model.rules.by_type.items():
+        exact = model.frames_are_exchangeable and rule.groups_ is None and rule.joint != "bonferroni"
+        has_band = exact and len(rule.scores_) > 0
+        listed.append(
             EvidenceGuarantee(
-                evidence=kind,
+                evidence=evidence,
                 alpha=float(rule.alpha),
                 n_frames=len(rule.scores_),
                 n_units=rule.n_units,
                 weight=float(rule.weight),
-                finite=bool(np.isfinite(rule.thresholds_).all()),
                 weight_needed=float(1 / rule.alpha_per_target - 1),
-                n_needed=_units_needed(rule, rules.overall.n_units),
-                least_alpha=least_alpha(rule),
-                band=band,
+                finite=bool(np.isfinite(rule.thresholds_).all()),
+                band=coverage_band(rule.n_units, N_NEW, rule.alpha_per_target) if has_band else None,
             )
         )
-    return found
-
-
-def _units_needed(rule: SplitConformal, n_units: int) -> int | None:
-    """Units like the `n_units` that a rule is calibrated on for finite thresholds; None where no number would do."""
-    rate = rule.alpha_per_target
-    if rule.groups_ is None:
-        n_units = len(rule.scores_)
-    # n times as many calibrate with finite thresholds if alpha (n weight + 1) is at least n infinite + 1
-    room = rate * rule.weight - _infinite(rule)
-    return ceil(n_units * (1 - rate) / room) if room > 0 else None
-
-
-def _infinite(rule: SplitConformal) -> Fraction:
-    """What the calibration members with an infinite score weigh, in the target that has most."""
-    worst = Fraction(0)
-    for column in rule.rule.columns(rule.scores_).T:
-        lost = (w for w, score in zip(rule.weights, column, strict=True) if not np.isfinite(score))
-        worst = max(worst, sum(lost, Fraction(0)))
-    return worst
-
-
-def least_alpha(rule: SplitConformal) -> Fraction:
-    """The least miscoverage rate at which a rule has a finite threshold for every target; 1 where none has.
-
-    The threshold is the score at which the weights of the calibration members reach ``1 - alpha`` of their sum and one
-    more whole unit; scores that are infinite do not count.
-    """
-    if not len(rule.scores_):
-        return Fraction(1)
-    share = rule.bins.n_targets if rule.joint == "bonferroni" else 1
-    return min(share * (1 + _infinite(rule)) / (1 + rule.weight), Fraction(1))
+    return listed

@@ -17,13 +17,11 @@ class QualitySettings:
     # (benchmarks/results/relative_motion.md, every tenth frame of redkitchen), and not beyond
     fast: float = 0.15
     bridged: int = 5  # largest number of other frames between two stretches that count as one
-    # known frames that differ by less stand at one place when a region is said to hold several; places are apart if
-    # what they show has nothing in common, which is at twice as much
-    place: float = 0.5
+    apart: float = 1.0  # places of a region whose views differ by more show nothing in common: they are several
     most_looked: int = 400  # held-out frames that are localized to see how ambiguous they are, evenly spread
     most_after_training: int = 100  # the same at the end of training, which should not take much longer for it
-    most_alike: int = 3  # stretches that are named as looking like another
-    most_advice: int = 8  # sentences on what to record next
+    most_advice: int = 3
+    most_share: float = 0.1  # of sparsely covered or of ambiguous frames in a recording that is good enough
 
 
 QUALITY = QualitySettings()

@@ -49,8 +49,8 @@ class ViewScale:
         """Which of the known views, at least one, changes least into each of n views, (n,)."""
         points = self._embedded(known)
         mirrored = points * np.array([1, 1, 1, -1, -1, -1, -1])  # q and -q are one rotation
-        _, found = KDTree(np.concatenate((points, mirrored))).query(self._embedded(views))
-        return np.asarray(found, dtype=np.int64) % len(known)
+        _, rows = KDTree(np.concatenate((points, mirrored))).query(self._embedded(views))
+        return np.asarray(rows, dtype=np.int64) % len(known)
 
     def _embedded(self, poses: Trajectory) -> FloatArray:
         """Points (n, 7) whose distances are changes of view: a quaternion moves by half of a small angle."""
@@ -65,9 +65,8 @@ class Stretch:
     first: int  # frame
     last: int
     place_xyz: tuple[float, float, float]  # where the view differs most, in metres
-    change: (
-        float  # there: a share of the view, see :class:`ViewScale`; infinite where nothing is known, as the next two
-    )
+    # there: a share of the view, see :class:`ViewScale`; infinite without a known view, as the next two
+    change: float
     distance_m: float
     angle_deg: float
     nearest: int = -1  # index of the known view that is nearest there; -1 for fast motion
@@ -75,12 +74,11 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class PoseCoverage:
-    """What poses alone say of n frames."""
+    """What poses alone tell of n frames; stretches are in the order of time."""
 
     change: FloatArray  # (n,) how much each frame's view differs from the nearest known one
-    # stretches that are far from every known view, and whose neighbours are far apart, in the order of time
-    sparse: list[Stretch]
-    fast: list[Stretch]
+    sparse: list[Stretch]  # far from every known view
+    fast: list[Stretch]  # neighbours far apart
 
     @property
     def sparse_frames(self) -> BoolArray:
@@ -98,19 +96,30 @@ def pose_coverage(
     """
     n = len(poses)
     frames = np.arange(n) if frames is None else frames
+    nearest, change, apart = np.full(n, -1), np.full(n, np.inf), (np.full(n, np.inf), np.full(n, np.inf))
     if len(known):
         nearest = scale.nearest(poses, known)
         change, apart = scale.change(poses, known[nearest]), _apart(poses, known[nearest])
-    else:
-        nearest, change, apart = np.full(n, -1), np.full(n, np.inf), (np.full(n, np.inf), np.full(n, np.inf))
     sparse = change > QUALITY.sparse
     steps, fast = scale.change(poses[:-1], poses[1:]), np.diff(recording) == 0
     # what is to be recorded anyway is not too fast as well
     fast &= (steps > QUALITY.fast) & ~(sparse[:-1] & sparse[1:])
-    far = [_stretch(run, frames[run], poses, change, apart, nearest) for run in runs_of(sparse, recording)]
-    apart, nearest = _apart(poses[:-1], poses[1:]), np.full(n, -1)
-    quick = [(run, frames[[run[0], run[-1] + 1]]) for run in runs_of(fast, recording)]
-    return PoseCoverage(change, far, [_stretch(run, ends, poses, steps, apart, nearest) for run, ends in quick])
+    step_apart, no_view = _apart(poses[:-1], poses[1:]), np.full(n, -1)
+
+    def stretch(run: IntArray, ends: IntArray, is_sparse: bool) -> Stretch:
+        size, (metres, radians), view = (change, apart, nearest) if is_sparse else (steps, step_apart, no_view)
+        worst = int(run[np.argmax(size[run])])
+        x, y, z = poses.positions_xyz[worst].tolist()
+        degrees = float(np.degrees(radians[worst]))
+        return Stretch(
+            int(ends[0]), int(ends[-1]), (x, y, z), float(size[worst]), float(metres[worst]), degrees, int(view[worst])
+        )
+
+    return PoseCoverage(
+        change,
+        [stretch(run, frames[run], True) for run in runs_of(sparse, recording)],
+        [stretch(run, frames[[run[0], run[-1] + 1]], False) for run in runs_of(fast, recording)],
+    )
 
 
 def runs_of(chosen: BoolArray, recording: IntArray) -> Iterator[IntArray]:
@@ -125,19 +134,3 @@ def _apart(one: Trajectory, other: Trajectory) -> tuple[FloatArray, FloatArray]:
     """Metres and radians between n pairs of poses, (n,) each."""
     metres = np.linalg.norm(one.positions_xyz - other.positions_xyz, axis=1)
     return metres, angle_between_quats(one.orientations_quat_wxyz, other.orientations_quat_wxyz)
-
-
-def _stretch(
-    run: IntArray,
-    frames: IntArray,
-    poses: Trajectory,
-    change: FloatArray,
-    apart: tuple[FloatArray, FloatArray],
-    nearest: IntArray,
-) -> Stretch:
-    """Of rows (m,); the first and the last of `frames` are its ends."""
-    worst = int(run[np.argmax(change[run])])
-    x, y, z = poses.positions_xyz[worst].tolist()
-    metres, radians = (float(values[worst]) for values in apart)
-    size, degrees = float(change[worst]), float(np.degrees(radians))
-    return Stretch(int(frames[0]), int(frames[-1]), (x, y, z), size, metres, degrees, int(nearest[worst]))

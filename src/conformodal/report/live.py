@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.conformal import ConformodalError
 from conformodal.core.arrays import FloatArray
+from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
 from conformodal.core.words import as_utf8
 from conformodal.geometry import Trajectory
@@ -47,64 +47,58 @@ class LiveView:
                 self._stream.spawn()
         except (OSError, RuntimeError) as exc:
             raise LiveViewError(f"{save if save is not None else 'Rerun'}: cannot be opened: {exc}") from exc
-        self._path: list[FloatArray] = []
-        self._log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        self._log("about", rerun.TextDocument(f"{as_utf8(name)}, alpha = {alpha}"), static=True)
+        self._previous: FloatArray | None = None  # chosen position
+        self._stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._stream.log("about", rerun.TextDocument(f"{as_utf8(name)}, alpha = {alpha}"), static=True)
 
     def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
-        """Show a frame and what was made of it; `truth` is a trajectory of one, or None."""
+        """Show a frame and its estimate; `truth` is a trajectory of one, or None."""
         rr = self._rr
         self._stream.set_time("time", duration=frame.timestamp_s)
+        entities: dict[str, Any] = {"status": rr.TextLog(as_utf8(estimate.problem) or "reliable")}
         if frame.image is not None:
-            self._log("camera/image", rr.Image(frame.image).compress(jpeg_quality=70))
+            entities["camera/image"] = rr.Image(frame.image).compress(jpeg_quality=70)
         if estimate.tracks is not None:
-            before, now = estimate.tracks
-            strips = np.stack((before, now), axis=1)
-            self._log("camera/image/tracks", rr.LineStrips2D(strips, colors=_REGION))
-        self._log("status", rr.TextLog(as_utf8(estimate.problem) or "reliable"))
-        if estimate.region is None or estimate.pose is None or estimate.candidates is None:
-            return
-        here = estimate.pose.positions_xyz[0]
-        unknown = estimate.evidence is EvidenceType.UNKNOWN
-        drawn = rr.Clear(recursive=False) if unknown else self._cuboids(estimate.region, here, _REGION)
-        self._log("world/region", drawn)
-        if estimate.path_region is not None:
-            self._log("world/places", self._cuboids(estimate.path_region, here, _ANSWER))
-        if estimate.known_p is not None:
-            self._log("plots/known_p", rr.Scalars(estimate.known_p))
-        if estimate.position_spread_m is not None:
-            self._log("plots/spread_m", rr.Scalars(estimate.position_spread_m))
-        masses = np.exp(estimate.candidates.log_mass)
-        places = estimate.candidates.positions_xyz
-        labels = [f"{mass:.2f}" for mass in masses]
-        self._log("world/candidates", rr.Points3D(places, radii=0.02, colors=_CANDIDATE, labels=labels))
-        self._log("world/chosen", rr.Points3D([here], radii=0.04, colors=_ANSWER))
-        w, x, y, z = estimate.pose.orientations_quat_wxyz[0]
-        turned = rr.Quaternion(xyzw=[x, y, z, w])
-        self._log("world/camera", rr.Transform3D(translation=here, quaternion=turned))
-        if self._path:
-            self._log("world/trajectory", rr.LineStrips3D([[self._path[-1], here]], colors=_ANSWER))
-        self._path[:] = [here]
-        self._log("plots/places", rr.Scalars(float(estimate.region.n_places[0])))
-        if truth is not None:
-            true = truth.positions_xyz[0]
-            self._log("world/truth", rr.Points3D([true], radii=0.03, colors=_TRUTH))
-            self._log("plots/error_m", rr.Scalars(float(np.linalg.norm(true - here))))
+            entities["camera/image/tracks"] = rr.LineStrips2D(np.stack(estimate.tracks, axis=1), colors=_REGION)
+        if estimate.region is not None and estimate.pose is not None:
+            here = estimate.pose.positions_xyz[0]
+            unknown = estimate.evidence is EvidenceType.UNKNOWN
+            shown = rr.Clear(recursive=False) if unknown else self._cuboids(estimate.region, here, _REGION)
+            w, x, y, z = estimate.pose.orientations_quat_wxyz[0]
+            entities |= {
+                "world/region": shown,
+                "world/chosen": rr.Points3D([here], radii=0.04, colors=_ANSWER),
+                "world/camera": rr.Transform3D(translation=here, quaternion=rr.Quaternion(xyzw=[x, y, z, w])),
+                "plots/places": rr.Scalars(float(estimate.region.n_places[0])),
+            }
+            if self._previous is not None:
+                entities["world/trajectory"] = rr.LineStrips3D([[self._previous, here]], colors=_ANSWER)
+            self._previous = here
+            if estimate.path_region is not None:
+                entities["world/places"] = self._cuboids(estimate.path_region, here, _ANSWER)
+            if estimate.candidates is not None:
+                labels = [f"{mass:.2f}" for mass in np.exp(estimate.candidates.log_mass)]
+                points = estimate.candidates.positions_xyz
+                entities["world/candidates"] = rr.Points3D(points, radii=0.02, colors=_CANDIDATE, labels=labels)
+            if truth is not None:
+                true = truth.positions_xyz[0]
+                entities["world/truth"] = rr.Points3D([true], radii=0.03, colors=_TRUTH)
+                entities["plots/error_m"] = rr.Scalars(float(np.linalg.norm(true - here)))
+        for name in ("known_p", "position_spread_m"):
+            if getattr(estimate, name) is not None:
+                entities[f"plots/{name}"] = rr.Scalars(getattr(estimate, name))
+        for entity, value in entities.items():
+            self._stream.log(entity, value)
 
     def _cuboids(self, region: PoseRegions, here: FloatArray, colour: tuple[int, int, int]) -> Any:
         around = np.stack((here - _RANGE_M, here + _RANGE_M), axis=1)
         places = region.places(0)[:_MOST_CUBOIDS]
-        boxes = [np.clip(one.box[:3], around[:, :1], around[:, 1:]) for one in places if one.box is not None]
-        found = np.array(boxes).reshape(-1, 3, 2)
+        boxes = np.array([np.clip(one.box[:3], around[:, :1], around[:, 1:]) for one in places if one.box is not None])
+        boxes = boxes.reshape(-1, 3, 2)
+        labels = [f"{one.probability:.2f}" for one in places]
         return self._rr.Boxes3D(
-            centers=found.mean(axis=2),
-            half_sizes=np.ptp(found, axis=2) / 2,
-            colors=colour,
-            labels=[f"{one.probability:.2f}" for one in places],
+            centers=boxes.mean(axis=2), half_sizes=np.ptp(boxes, axis=2) / 2, colors=colour, labels=labels
         )
-
-    def _log(self, entity: str, what: Any, *, static: bool = False) -> None:
-        self._stream.log(entity, what, static=static)
 
     def close(self) -> None:
         """Everything is written afterwards."""

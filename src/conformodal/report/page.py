@@ -13,6 +13,7 @@ from conformodal.core.words import counted
 with require_extra("run", "a page of results"):
     from jinja2 import Environment, PackageLoader
 
+PAGE = "report.html"
 _LABELS = {
     "online": "conformal, online: each pose when its frame comes, as a robot gets it",
     "smoothed": "conformal, with hindsight and smoothed (trajectory.tum)",

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import islice, product
 from math import inf
 from typing import Any
@@ -21,25 +19,25 @@ _MOST_BOXES = 64  # of a region that is a product
 _UNUSABLE = ("lost", "too_few_corners", "inconsistent")  # motion
 
 
-@dataclass(frozen=True, eq=False)
-class Paths:
-    """Trajectories of the same frames."""
+def page_frame(
+    record: dict[str, Any],
+    pose: Trajectory,
+    truth: Trajectory | None = None,
+    classical: Trajectory | None = None,
+    *,
+    holds_pose: bool = True,
+    holds_truth: bool = False,
+) -> dict[str, Any]:
+    """What the page's script reads of a frame; short names, because there are a thousand frames.
 
-    answer: Trajectory
-    truth: Trajectory | None = None
-    classical: Trajectory | None = None  # of the regressor on the same features
-    online: Trajectory | None = None  # the answer as a robot gets it, frame by frame
-
-
-def page_frame(i: int, record: dict[str, Any], paths: Paths) -> dict[str, Any]:
-    """What the page's script reads of the i-th frame of a run; short names, because there are a thousand frames.
-
-    `record` is that of its region. An end of an interval that is None has no bound; so has the size.
+    `record` is that of its region; an end of an interval that is None has no bound. `pose` is the answer, `classical`
+    that of the regressor on the same features; trajectories are of one pose. `holds_pose` and `holds_truth` are whether
+    the region contains these.
     """
-    place, quat = paths.answer.positions_xyz[i], paths.answer.orientations_quat_wxyz[i]
+    place, quat = pose.positions_xyz[0], pose.orientations_quat_wxyz[0]
     parts: list[Intervals] = [record["intervals"][axis] for axis in "xyz"]
     lengths = [sum(_lengths(intervals)) for intervals in parts]
-    if record.get("places") is None:  # a region that is a product, and runs of earlier versions
+    if record["places"] is None:  # a region that is a product
         boxes = [[*box, None] for box in islice(product(*parts), _MOST_BOXES)]
     else:
         boxes = _position_boxes(record["places"])
@@ -48,6 +46,8 @@ def page_frame(i: int, record: dict[str, Any], paths: Paths) -> dict[str, Any]:
         "t": round(record["timestamp_s"], 4),
         "ok": record["reliable"],
         "m": record["motion"],
+        "kp": record["known_p"],
+        "ev": record["evidence"],
         "p": _rounded(place),
         "q": _rounded(quat),
         "iv": [[[None if e is None else round(e, 4) for e in part] for part in intervals] for intervals in parts],
@@ -55,34 +55,25 @@ def page_frame(i: int, record: dict[str, Any], paths: Paths) -> dict[str, Any]:
         "size": None if inf in lengths else round(float(np.linalg.norm(lengths)), 4),
         "whole": all(intervals == [[None, None]] for intervals in parts),
     }
-    if record.get("path_places") is not None:
+    if record["path_places"] is not None:
         frame["pb"] = _position_boxes(record["path_places"])
-    if record.get("evidence") is not None:  # these are missing in runs of earlier versions
-        frame |= {"kp": record.get("known_p"), "ev": record["evidence"]}
-    if record.get("place_p") is not None:
+    if record["place_p"] is not None:
         frame["pp"] = record["place_p"]
-    if paths.classical is not None:
-        frame["classical"] = _rounded(paths.classical.positions_xyz[i])
-    if paths.truth is not None:
-        true, turned = paths.truth.positions_xyz[i], paths.truth.orientations_quat_wxyz[i]
-        frame |= {"truth": _rounded(true), "held": _holds(boxes, true)}
+    if classical is not None:
+        frame["classical"] = _rounded(classical.positions_xyz[0])
+    if truth is not None:
+        true, true_quat = truth.positions_xyz[0], truth.orientations_quat_wxyz[0]
+        frame |= {"truth": _rounded(true), "held": holds_truth}
         frame["err"] = round(float(np.linalg.norm(place - true)), 5)
-        frame["deg"] = round(float(np.degrees(angle_between_quats(quat, turned))), 4)
-        if paths.classical is not None:
-            frame["cerr"] = round(float(np.linalg.norm(paths.classical.positions_xyz[i] - true)), 5)
-    return {**frame, "say": describe_frame(frame)}
-
-
-def with_image(frame: dict[str, Any], images: Mapping[str, bytes]) -> dict[str, Any]:
-    """A frame with its JPEG data, if there is some of its name."""
-    if frame["n"] not in images:
-        return frame
-    return {**frame, "img": base64.b64encode(images[frame["n"]]).decode()}
+        frame["deg"] = round(float(np.degrees(angle_between_quats(quat, true_quat))), 4)
+        if classical is not None:
+            frame["cerr"] = round(float(np.linalg.norm(classical.positions_xyz[0] - true)), 5)
+    return {**frame, "say": _describe_frame(frame, holds_pose=holds_pose)}
 
 
 def kind_of(frame: dict[str, Any]) -> str:
     """What the region of a frame names, in a word or two."""
-    if frame.get("ev") == EvidenceType.UNKNOWN.name.lower():
+    if frame["ev"] == EvidenceType.UNKNOWN.name.lower():
         return "unknown place"
     if frame["whole"]:
         return "unbounded"
@@ -90,7 +81,17 @@ def kind_of(frame: dict[str, Any]) -> str:
     return "empty" if not n_places else "one place" if n_places == 1 else "several places"
 
 
-def describe_frame(frame: dict[str, Any]) -> str:
+def describe_run(kinds: Mapping[str, int], n_bounded: int, n_held: int, rmse_m: Mapping[str, float]) -> str:
+    """The whole run in words: frames by :func:`kind_of`, bounded regions that hold the truth, and RMSE by name."""
+    lines = [f"{counted(sum(kinds.values()), 'frame')}: {', '.join(f'{kind} in {n}' for kind, n in kinds.items())}."]
+    if n_bounded:
+        lines.append(f"{n_held} of {counted(n_bounded, 'bounded region')} contain the true pose.")
+    if rmse_m:
+        lines.append(f"Position RMSE: {', '.join(f'{value:.3f} m {name}' for name, value in rmse_m.items())}.")
+    return " ".join(lines)
+
+
+def _describe_frame(frame: dict[str, Any], *, holds_pose: bool) -> str:
     """A frame in words: the region first, then the chosen pose."""
     parts, kind, n_places = frame["iv"], kind_of(frame), len(frame["bx"])
     bounded = kind in ("one place", "several places")
@@ -100,9 +101,9 @@ def describe_frame(frame: dict[str, Any]) -> str:
         size = f"without bounds along {', '.join(open_axes)}" if open_axes else f"{size} m at most"
         lines = [f"The region names {counted(n_places, 'place')}, {size}."]
     else:
-        p = "" if frame.get("kp") is None else f" (p = {frame['kp']:.2g})"
+        p = "" if frame["kp"] is None else f" (p = {frame['kp']:.2g})"
         lines = [f"Unknown place{p}: the region is unbounded." if kind == "unknown place" else f"The region is {kind}."]
-    if bounded and not _holds(frame["bx"], frame["p"]):
+    if bounded and not holds_pose:
         lines.append("The chosen pose lies outside it.")
     if "truth" in frame:
         held = f", which the region {'contains' if frame['held'] else 'misses'}" if bounded else ""
@@ -114,34 +115,13 @@ def describe_frame(frame: dict[str, Any]) -> str:
     return " ".join(lines)
 
 
-def describe_run(kinds: Mapping[str, int], n_bounded: int, n_held: int, rmse_m: Mapping[str, float]) -> str:
-    """The whole run in words: frames by :func:`kind_of`, bounded regions that hold the truth, and RMSE by name."""
-    lines = [f"{counted(sum(kinds.values()), 'frame')}: {', '.join(f'{kind} in {n}' for kind, n in kinds.items())}."]
-    if n_bounded:
-        lines.append(f"{n_held} of {counted(n_bounded, 'bounded region')} contain the true position.")
-    if rmse_m:
-        lines.append(f"Position RMSE: {', '.join(f'{value:.3f} m {name}' for name, value in rmse_m.items())}.")
-    return " ".join(lines)
-
-
-def _holds(boxes: list[list[Any]], place_xyz: FloatArray) -> bool:
-    """Whether a region holds a position."""
-    return any(
-        all(
-            (low is None or low <= v) and (high is None or v <= high)
-            for (low, high), v in zip(box[:3], place_xyz, strict=True)
-        )
-        for box in boxes
-    )
-
-
 def _position_boxes(places: list[dict[str, Any]]) -> list[list[Any]]:
     """Intervals along x, y and z, and the probability; places that differ in orientation alone are one."""
-    found: dict[str, list[Any]] = {}
+    boxes: dict[str, list[Any]] = {}
     for place in places:
         box = [[None if e is None else round(e, 4) for e in part] for part in place["box"][:3]]
-        found.setdefault(str(box), [*box, 0.0])[3] += place["p"]
-    return sorted(found.values(), key=lambda box: -float(box[3]))
+        boxes.setdefault(str(box), [*box, 0.0])[3] += place["p"]
+    return sorted(boxes.values(), key=lambda box: -float(box[3]))
 
 
 def _lengths(intervals: Intervals) -> list[float]:

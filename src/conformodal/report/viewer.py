@@ -1,12 +1,12 @@
-"""The part of the page that moves: results of a run, frame by frame, from what lies on disk."""
+"""The part of the page that moves: the records of a run, frame by frame."""
 
 from __future__ import annotations
 
+import base64
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,11 +15,10 @@ from conformodal.core.arrays import FloatArray, UInt8Array
 from conformodal.core.extras import require_extra
 from conformodal.core.words import counted
 from conformodal.geometry import Trajectory, trajectory_errors
-from conformodal.io.pose_files import read_tum
 from conformodal.pipeline.model import ONLINE
-from conformodal.pipeline.results.records import REGIONS, TRAJECTORY, TRUTH, iter_region_records
+from conformodal.pipeline.results.records import records_hold
 
-from .page_frames import Paths, describe_run, kind_of, page_frame, with_image
+from .page_frames import describe_run, kind_of, page_frame
 
 with require_extra("run", "a page of results"):
     import cv2
@@ -38,74 +37,94 @@ class Thumbnails:
 
     def __init__(self, most: int = MOST_FRAMES, width: int = _WIDTH) -> None:
         self.most, self.width = most, width
-        self.kept: dict[str, bytes] = {}
-        self._stride, self._seen = 1, 0
+        self.jpegs: dict[str, bytes] = {}
+        self._stride, self._n_offered = 1, 0
 
     def add(self, name: str, image: UInt8Array) -> None:
-        """Show it the next frame, (h, w, 3) RGB."""
-        if self._seen % self._stride == 0:
+        """Offer the next frame, (h, w, 3) RGB."""
+        if self._n_offered % self._stride == 0:
             height = max(1, round(image.shape[0] * self.width / image.shape[1]))
             small = cv2.resize(image, (self.width, height), interpolation=cv2.INTER_AREA)
-            done, data = cv2.imencode(
-                ".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), (cv2.IMWRITE_JPEG_QUALITY, _QUALITY)
-            )
+            bgr = cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
+            done, data = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))
             if done:
-                self.kept[name] = data.tobytes()
-            if len(self.kept) > self.most:
-                self.kept = {name: data for i, (name, data) in enumerate(self.kept.items()) if i % 2 == 0}
+                self.jpegs[name] = data.tobytes()
+            if len(self.jpegs) > self.most:
+                self.jpegs = {name: data for i, (name, data) in enumerate(self.jpegs.items()) if i % 2 == 0}
                 self._stride *= 2
-        self._seen += 1
+        self._n_offered += 1
 
 
 def make_viewer(
-    folder: Path, images: Mapping[str, bytes], level: float | None = None, walls: Sequence[FloatArray] = ()
+    records: Sequence[dict[str, Any]],
+    trajectories: Mapping[str, Trajectory],
+    truth: Trajectory | None = None,
+    images: Mapping[str, bytes] | None = None,
+    level: float | None = None,
+    walls: Sequence[FloatArray] = (),
 ) -> dict[str, Any]:
     """What the template of a run's viewer needs; of long runs, it shows at most a thousand frames, evenly spread.
 
-    `images` are JPEG data by frame name: where there are some, the frames shown are among these. `level` is the p-value
-    at or below which an image shows no known place. `walls` are (2, 2) segments, drawn where the plan shows x and y.
+    Parameters
+    ----------
+    records, trajectories, truth
+        Of all frames; the first trajectory is the answer. A truth of some of the frames is not shown.
+    images
+        JPEG data by frame name: where there are some, the frames shown are among these.
+    level
+        The p-value at or below which an image shows no known place.
+    walls
+        (2, 2) segments, drawn where the plan shows x and y.
     """
-    answer = read_tum(folder / TRAJECTORY)
-    n = len(answer)
-    paths = Paths(
-        answer,
-        _beside(folder / TRUTH, n),
-        *(_beside(folder / "methods" / f"{name}.tum", n) for name in ("classical", ONLINE)),
+    n, images = len(records), images or {}
+    answer, classical, online = (
+        next(iter(trajectories.values())),
+        trajectories.get("classical"),
+        trajectories.get(ONLINE),
     )
+    truth = truth if truth is not None and len(truth) == n else None
+    holds_pose = records_hold(records, answer, None)
+    holds_truth = np.zeros(n, dtype=np.bool_) if truth is None else records_hold(records, truth, None)
     stride = max(1, -(-n // MOST_FRAMES))
-    shown, kinds, held = [], Counter[str](), []
-    for i, record in zip(range(n), iter_region_records(folder / REGIONS), strict=False):
-        frame = page_frame(i, record, paths)
+    shown, kinds, bounded = [], Counter[str](), np.zeros(n, dtype=np.bool_)
+    for i, record in enumerate(records):
+        row = slice(i, i + 1)
+        paths = [None if path is None else path[row] for path in (truth, classical)]
+        frame = page_frame(
+            record, answer[row], *paths, holds_pose=bool(holds_pose[i]), holds_truth=bool(holds_truth[i])
+        )
         kinds[kind_of(frame)] += 1
-        if frame["size"] is not None and "held" in frame:
-            held.append(frame["held"])
-        if frame["n"] in images if images else i % stride == 0:
-            shown.append(with_image(frame, images))
+        bounded[i] = truth is not None and frame["size"] is not None
+        if frame["n"] in images:
+            shown.append({**frame, "img": base64.b64encode(images[frame["n"]]).decode()})
+        elif not images and i % stride == 0:
+            shown.append(frame)
     rmse_m = {}
-    if paths.truth is not None:
-        if paths.online is not None:
-            rmse_m["when a frame comes"] = trajectory_errors(paths.online, paths.truth)["rmse_m"]
-        rmse_m["as shown here"] = trajectory_errors(paths.answer, paths.truth)["rmse_m"]
-    extent = np.ptp(answer.positions_xyz, axis=0)
-    flat = sorted(np.argsort(-extent)[:2].tolist())
+    if truth is not None:
+        if online is not None:
+            rmse_m["when a frame comes"] = trajectory_errors(online, truth)["rmse_m"]
+        rmse_m["as shown here"] = trajectory_errors(answer, truth)["rmse_m"]
+    flat = sorted(np.argsort(-np.ptp(answer.positions_xyz, axis=0))[:2].tolist())
     data = {
         "frames": shown,
         "axes": flat,
         "up": ({0, 1, 2} - set(flat)).pop(),
-        "truth": paths.truth is not None,
-        "classical": paths.classical is not None,
+        "truth": truth is not None,
+        "classical": classical is not None,
         "level": level,
         "walls": [np.round(wall, 3).tolist() for wall in walls] if flat == [0, 1] else [],
     }
     return {
         "json": json_in_script(data),
         "script": _script(),
-        "text": describe_run(kinds, len(held), sum(held), rmse_m),
+        "text": describe_run(kinds, int(bounded.sum()), int(holds_truth[bounded].sum()), rmse_m),
         "note": "" if len(shown) == n else f"{len(shown)} of {counted(n, 'frame')} are shown, evenly spread.",
         "n_shown": len(shown),
         "has_images": bool(images),
-        **{name: getattr(paths, name) is not None for name in ("truth", "classical", "online")},
-        "known": any(frame.get("kp") is not None for frame in shown),
+        "truth": truth is not None,
+        "classical": classical is not None,
+        "online": online is not None,
+        "known": any(frame["kp"] is not None for frame in shown),
         "path_places": any("pb" in frame for frame in shown),
     }
 
@@ -121,10 +140,3 @@ def _script() -> str:
     folder = files("conformodal.report").joinpath("templates", "viewer")
     parts = [folder.joinpath(f"{name}.js").read_text(encoding="utf-8") for name in _SCRIPTS]
     return "\n".join(['"use strict";', "(() => {", *parts, "})();"])
-
-
-def _beside(path: Path, n: int) -> Trajectory | None:
-    if not path.is_file():
-        return None
-    found = read_tum(path)
-    return found if len(found) == n else None

@@ -24,7 +24,7 @@ function facts(f) {
   if (f.truth) rows.push(["true position (m)", list(f.truth)], ["error", `${f.err.toFixed(4)} m, ${f.deg.toFixed(2)} degrees`]);
   rows.push(["places of the image", f.whole ? "anywhere" : placesOf(f.bx)]);
   if (f.pb) rows.push(["places after motion", placesOf(f.pb)]);
-  if (f.truth) rows.push(["truth in the region (position)", f.held ? "yes" : "no"]);
+  if (f.truth) rows.push(["truth in the region", f.held ? "yes" : "no"]);
   if (f.kp != null) rows.push(["known place?", isUnknown(f) ? `no, p = ${p3(f.kp)}` : `yes, p = ${p3(f.kp)}`]);
   if (f.ev && !isUnknown(f)) rows.push(["region from", sources[f.ev] || f.ev]);
   const motion = f.m === "first" ? "none, the first frame" : f.m.replaceAll("_", " ");
