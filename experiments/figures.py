@@ -16,7 +16,8 @@ import numpy.typing as npt
 import typer
 from matplotlib.figure import Figure
 
-from conformodal.cli.console import print_where, progress_bars, report_errors, report_line
+from conformodal.cli.console import print_where, progress_bars, report_line
+from conformodal.cli.failures import report_errors
 from conformodal.cli.sources import Cache, Data, DataLayout
 from conformodal.core.arrays import FloatArray
 from conformodal.features.extract import FeatureCache, extract_features
@@ -76,7 +77,7 @@ _POSITION = "xyz"
 
 
 @app.command()
-@report_errors
+@report_errors()
 def figures(
     data: Data,
     out: Out,

@@ -16,7 +16,8 @@ from typing import Annotated, Any
 
 import typer
 
-from conformodal.cli.console import print_where, progress_bars, report_errors, report_line
+from conformodal.cli.console import print_where, progress_bars, report_line
+from conformodal.cli.failures import OptionError, report_errors
 from conformodal.cli.sources import Cache, Data, DataLayout, cache_folder, open_sequence
 from conformodal.core.files import write_whole, writing_in
 from conformodal.features.extract import FeatureCache
@@ -90,6 +91,8 @@ class Plan:
         for name in self.networks.split(","):
             find_network(name)
         rows_of(self.networks.split(","))  # three of them
+        if self.address is not None and self.engine is not Engine.RAY:
+            raise OptionError(f"--address needs --engine ray, got --engine {self.engine}")
 
     @property
     def rows(self) -> tuple[Row, ...]:
@@ -121,7 +124,7 @@ def opened(data: Path, layout: Layout, out: Path, cache: Path | None) -> Iterato
 
 
 @app.command()
-@report_errors
+@report_errors()
 def table1(
     data: Data,
     out: Out,

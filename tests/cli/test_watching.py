@@ -31,8 +31,8 @@ opened: list[Recorder] = []
 @pytest.fixture(autouse=True)
 def recorders(monkeypatch):
     opened.clear()
-    monkeypatch.setattr(run, "BagWriter", Recorder)
-    monkeypatch.setattr(run, "LiveView", Recorder)
+    monkeypatch.setattr("conformodal.ros.bag.BagWriter", Recorder)
+    monkeypatch.setattr("conformodal.report.live.LiveView", Recorder)
 
 
 def windows():
@@ -51,11 +51,11 @@ class Broken(Recorder):
 
 @pytest.mark.parametrize(("view", "still_open"), [(NoScreen, [False]), (Broken, [False, True])])
 def test_a_view_that_fails_leaves_no_recording_open(monkeypatch, tmp_path, view, still_open):
-    monkeypatch.setattr(run, "LiveView", view)
+    monkeypatch.setattr("conformodal.report.live.LiveView", view)
     sinks = run.frame_sinks("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False)
     with pytest.raises(OSError, match=r"^(no screen|gone)$"), sinks:
         pass
-    assert [its.open for its in opened] == still_open
+    assert [recorder.open for recorder in opened] == still_open
 
 
 def test_a_stream_that_breaks_off_leaves_no_thread():
@@ -74,7 +74,7 @@ def test_a_stream_that_breaks_off_leaves_no_thread():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("broken", ["ResultsWriter", "write_metrics", "StatusLine"])
+@pytest.mark.parametrize("broken", ["ResultsWriter", "write_metrics", "progress_bars"])
 def test_a_run_that_cannot_write_closes_what_it_has_opened(small_world, tmp_path, monkeypatch, broken):
     def full(*arguments, **options):
         raise OSError(28, "No space left on device")
@@ -83,4 +83,4 @@ def test_a_run_that_cannot_write_closes_what_it_has_opened(small_world, tmp_path
     arguments = ["run", small_world.model, small_world.folder, "--out", tmp_path / "out", "--save", tmp_path / "a.mcap"]
     found = CliRunner().invoke(app, [str(a) for a in [*arguments, "--view"]])
     assert found.exit_code != 0
-    assert [its.open for its in opened] == [False, False]
+    assert [recorder.open for recorder in opened] == [False, False]

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from conformodal.cli.console import PlainConsole, plain, progress_bars
+from conformodal.cli.console import LOG, PlainConsole, plain, progress_bars
 from conformodal.core.files import write_whole
 from conformodal.geometry import Trajectory
 from conformodal.pipeline.results.parquet import write_region_parquet
@@ -27,6 +27,7 @@ NAMES = {
     "bytes": "caf\udce9.png", "right to left": "a\u202egnp.exe", "zero width": "a\u200bb",
     "beyond the plane": "\U0001f600.png", "percent": "%s%n{0}", "long": "x" * 5000, "empty": "",
 }  # fmt: skip
+PATH = Trajectory(np.arange(3.0), np.eye(3), np.tile([1.0, 0, 0, 0], (3, 1)))
 
 
 @pytest.fixture(params=NAMES)
@@ -59,19 +60,22 @@ def test_an_error_is_one_line_whatever_it_names(name, tmp_path, monkeypatch):
     assert "\x1b" not in result.output
 
 
+def records_of(name):
+    return [region_record(f"{name}{t}", float(t), None, [np.array([[-2.0, 2.0]])] * 7) for t in range(3)]
+
+
 def run_of(name, folder):
-    times = np.arange(3.0)
     with ResultsWriter(folder) as writer:
-        writer.poses("smoothed", Trajectory(times, np.eye(3), np.tile([1.0, 0, 0, 0], (3, 1))))
-        for t in times:
-            writer.region(region_record(f"{name}{t:.0f}", t, None, [np.array([[-2.0, 2.0]])] * 7))
+        writer.poses("smoothed", PATH)
+        for record in records_of(name):
+            writer.region(record)
 
 
 def test_frames_of_any_name_are_stored_and_shown(name, tmp_path):
     run_of(name, tmp_path)
     records = read_region_records(tmp_path / "regions.jsonl")
     assert [r["frame"] for r in records] == [f"{name}{i}" for i in range(3)]
-    viewer = make_viewer(tmp_path, {f"{name}{i}": b"jpeg" for i in range(3)})
+    viewer = make_viewer(records, {"smoothed": PATH}, images={f"{name}{i}": b"jpeg" for i in range(3)})
     metrics = {"provenance": {"name": name}, "configuration": {"data": name}, "n_answered": 3, "split_note": name}
     write_page(tmp_path / "report.html", ReportContent(name, [name], metrics, viewer=viewer))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -97,29 +101,13 @@ def test_text_of_any_kind_can_be_written(name, tmp_path):
     assert (tmp_path / "x.md").read_bytes().decode() == name.encode("utf-8", "backslashreplace").decode()
 
 
-def test_progress_is_written_beside_the_folder_of_results(tmp_path, monkeypatch):
+def test_progress_is_written_into_the_folder_of_results(tmp_path, monkeypatch):
     monkeypatch.setattr("conformodal.cli.console._LOG_EVERY_S", 0.01)
-    log = tmp_path / "model.log"
-    with progress_bars(tmp_path / "model") as report:
-        report("features", 5, 5)
-        report("training", 1, 3)
-        while not log.exists() or "training 1/3\n" not in log.read_text():
-            time.sleep(0.01)
-    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d training 1/3", log.read_text().splitlines()[-1])
-    first = log.read_text()
-    with progress_bars(tmp_path / "model") as report:
-        while log.read_text() == first or "evaluation 0/3\n" not in log.read_text():
-            report("evaluation", 0, 3)
-            time.sleep(0.01)
+    log = tmp_path / LOG
+    for stage, done in (("training", 1), ("evaluation", 0)):
+        with progress_bars(tmp_path) as report:
+            report("features", 5, 5)
+            report(stage, done, 3)
+            while not log.exists() or f" {stage} {done}/3\n" not in log.read_text():
+                time.sleep(0.01)
     assert "training" not in log.read_text()  # the log of the run before is replaced
-
-
-@pytest.mark.parametrize("content", [b"", b"2026-01-01 08:00:00 my notes\n"])
-def test_a_log_of_another_program_is_left_alone(content, tmp_path, monkeypatch):
-    monkeypatch.setattr("conformodal.cli.console._LOG_EVERY_S", 0.01)
-    log = tmp_path / "runs.log"
-    log.write_bytes(content)
-    with progress_bars(tmp_path / "runs") as report:
-        report("training", 1, 3)
-        time.sleep(0.1)
-    assert log.read_bytes() == content

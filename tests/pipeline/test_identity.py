@@ -1,7 +1,5 @@
 """Known data is known by pixels, poses and camera, frame by frame."""
 
-import json
-import re
 import shutil
 from dataclasses import replace
 
@@ -185,7 +183,7 @@ def test_other_images_under_the_same_names_have_no_part(model, copy):
         with Image.open(path) as image:
             Image.fromarray(255 - np.asarray(image.convert("RGB"))).save(path)
     n = len(model.split.test)
-    with pytest.raises(OdometryError, match=rf"copy.*none of its \d+ frames .* of the {n} frames of the test part"):
+    with pytest.raises(OdometryError, match=rf"copy: .*none of the {n} frames of the test part"):
         part_frames(model, read_sevenscenes(copy), Part.TEST)
 
 
@@ -194,12 +192,8 @@ def test_a_part_with_other_poses_is_refused(model, sequence):
     true = Rotation.from_quat(sequence.truth.orientations_quat_wxyz, scalar_first=True)
     quarter = Rotation.from_euler("z", 90, degrees=True) * true
     here = turned(sequence, quarter.as_quat(scalar_first=True))
-    said = rf"frame-{test[0]:06d}\.color\.png: .*another pose, and so have {len(test)} of {len(test)} frames; found"
-    with pytest.raises(OdometryError, match=said) as refused:
+    with pytest.raises(OdometryError, match=rf"frame-{test[0]:06d}\.color\.png: .*another pose, as {len(test)} of"):
         part_frames(model, here, Part.TEST)
-    found, expected = re.search(r"found x y z qw qx qy qz (\[.*\]), expected (\[.*\])", str(refused.value)).groups()
-    assert json.loads(expected)[:3] == json.loads(found)[:3]
-    assert json.loads(expected) != json.loads(found)
     backwards = sequence.truth[::-1]
     mixed = replace(sequence, truth=replace(backwards, timestamps_s=sequence.timestamps_s))
     with pytest.raises(OdometryError, match="another pose"):
@@ -207,7 +201,7 @@ def test_a_part_with_other_poses_is_refused(model, sequence):
     one = sequence.truth.positions_xyz.copy()
     one[test[4], 1] += 0.01
     moved = replace(sequence, truth=replace(sequence.truth, positions_xyz=one))
-    with pytest.raises(OdometryError, match=rf"frame-{test[4]:06d}.*so have 1 of {len(test)} frames"):
+    with pytest.raises(OdometryError, match=rf"frame-{test[4]:06d}.*another pose, as 1 of {len(test)}"):
         part_frames(model, moved, Part.TEST)
     assert len(part_frames(model, moved, Part.TRAIN)) == len(model.split.train)
 

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from conformodal.conformal.checks import as_alpha
 from conformodal.core.words import counted, noun_for
 from conformodal.io import Layout
 from conformodal.localizer.radius import Guarantee, recordings_needed
@@ -18,29 +19,33 @@ from conformodal.pipeline.results.folders import lock_output
 from conformodal.pipeline.selection import calibrate_selection
 from conformodal.pipeline.store import load_model, save_model
 
-from .console import console, print_where, progress_bars, report_errors, report_line, report_strongly
-from .options import OptionError
-from .sources import FollowOutside, open_sequence
+from .console import print_where, progress_bars, report_line, report_strongly
+from .failures import OptionError, report_errors
+from .sources import DataLayout, FollowOutside, SavedModel, open_sequence
 
 
-@report_errors
+@report_errors()
 def calibrate(
-    model: Annotated[Path, typer.Argument(help="Folder of a saved model; the radius is saved with it.")],
+    model: SavedModel,
     data: Annotated[Path, typer.Argument(help="Recordings with poses that the model was not trained on.")],
-    layout: Annotated[Layout, typer.Option("--format", help="Layout of the recordings.")] = Layout.AUTO,
+    layout: DataLayout = Layout.AUTO,
     alpha: Annotated[float, typer.Option(help="Miscoverage rate of the radius.")] = 0.1,
     guarantee: Annotated[
         Guarantee, typer.Option(help="What holds with probability 1 - alpha: a random frame, or a whole recording.")
     ] = Guarantee.FRAME,
-    method: Annotated[str, typer.Option(help="Method whose pose the radius is about.")] = METHODS[0],
+    method: Annotated[str, typer.Option(help=f"Method whose pose the radius is about: {', '.join(METHODS)}.")] = (
+        METHODS[0]
+    ),
     metres_per_radian: Annotated[
-        float | None, typer.Option(help="Metres that count as much as one radian; the scene's depth by default.")
+        float | None,
+        typer.Option(min=0.001, help="Metres that count as much as one radian; the scene's depth by default."),
     ] = None,
     follow_outside: FollowOutside = False,
 ) -> None:
     """Give the chosen pose a radius with a coverage guarantee, calibrated on whole recordings."""
     if method not in METHODS:
         raise OptionError(f"--method must be one of {', '.join(METHODS)}, got {method!r}")
+    as_alpha(alpha)
     loaded = load_model(model)
     if loaded.method is Method.PAPER:
         raise OdometryError(f"{model}: was trained with the paper's method, whose answer gets no radius")
@@ -51,8 +56,7 @@ def calibrate(
         loaded.radius = radius
         save_model(loaded, model)
     if isfinite(radius.radius_m):
-        console.print(f"radius {radius.radius_m:.4f} m and {radius.radius_deg:.2f} degrees. ", end="")
-        report_line(radius.assumption)
+        report_line(f"radius {radius.radius_m:.4f} m and {radius.radius_deg:.2f} degrees. {radius.assumption}")
     else:
         report_strongly(
             f"The radius is infinite: {counted(radius.n_recordings, 'recording')} "

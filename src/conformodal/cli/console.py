@@ -1,34 +1,22 @@
-"""What all commands print on the terminal: progress, errors on one line, tables, the folder of the results."""
+"""What all commands print on the terminal: lines, progress, and the folder of the results."""
 
 from __future__ import annotations
 
-import functools
-import inspect
-import io
 import os
-import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any, ParamSpec
+from typing import Any, Protocol
 
-import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 from rich.text import Text
 
-from conformodal.core.progress import StageProgress
-
-from .failures import OWN_FAULT, explained, show_all, stop_code, stopping
-from .options import check_options
-
-P = ParamSpec("P")
+LOG = "progress.log"
 _LOG_EVERY_S = 10.0
-_LOG_HEADER = b"# progress of conformodal\n"  # a log without it is another program's
 
 
 def plain(text: str) -> str:
@@ -57,42 +45,9 @@ console = PlainConsole()
 errors_console = PlainConsole(stderr=True)
 
 
-def report_errors(command: Callable[P, None]) -> Callable[P, None]:
-    """Check options first, and end what goes wrong with one line on stderr and an exit code, see :mod:`.failures`."""
-    defaults = {p.name: p.default for p in inspect.signature(command).parameters.values()}
-
-    @functools.wraps(command)
-    def wrapped(*args: P.args, **kwargs: P.kwargs) -> None:
-        for stream in (sys.stdout, sys.stderr):
-            if isinstance(stream, io.TextIOWrapper):
-                stream.reconfigure(errors="backslashreplace")
-        with stopping() as came:
-            try:
-                check_options(kwargs, defaults)
-                command(*args, **kwargs)
-            except (typer.Exit, typer.Abort, typer.BadParameter):
-                raise
-            except KeyboardInterrupt:
-                _report_error("interrupted; the same command goes on from what was kept (features, training state)", "")
-                raise typer.Exit(stop_code(came)) from None
-            except Exception as exc:
-                text, code = explained(exc)
-                if code == OWN_FAULT and show_all():
-                    raise
-                _report_error(text)
-                raise typer.Exit(code) from exc
-
-    return wrapped
-
-
 def report_line(text: str) -> None:
     """One line of the result, however long."""
     console.print(text, soft_wrap=True)
-
-
-def _report_error(text: str, start: str = "error: ") -> None:
-    """One line on stderr."""
-    errors_console.print(Text(start, style="bold red") + Text(plain(text)), soft_wrap=True)
 
 
 def report_strongly(text: str) -> None:
@@ -100,83 +55,69 @@ def report_strongly(text: str) -> None:
     console.print(Text(plain(text), style="bold"), soft_wrap=True)
 
 
+def report_error(text: str) -> None:
+    """One line on stderr."""
+    errors_console.print(Text("error: ", style="bold red") + Text(plain(text)), soft_wrap=True)
+
+
+def print_where(folder: Path) -> None:
+    """The last line: where the results are."""
+    report_line(f"results: {folder.resolve()}")
+
+
 @contextmanager
 def warning_lines(category: type[Warning], report: Callable[[str], None] = report_line) -> Iterator[None]:
     """Report each warning of a category as a line at the end, also where an error follows; others stay warnings."""
-    came = list[warnings.WarningMessage]()
+    caught = list[warnings.WarningMessage]()
     try:
-        with warnings.catch_warnings(record=True) as came:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", category)
             yield
     finally:
-        for its in came:
-            if issubclass(its.category, category):
-                report(str(its.message))
+        for warning in caught:
+            if issubclass(warning.category, category):
+                report(str(warning.message))
             else:
-                warnings.showwarning(its.message, its.category, its.filename, its.lineno)
+                warnings.showwarning(warning.message, warning.category, warning.filename, warning.lineno)
+
+
+class StageReport(Protocol):
+    """Shows the progress of a stage: steps done, steps in all (0 where nobody knows), and a note on the newest."""
+
+    def __call__(self, stage: str, done: int, total: int, note: str = "") -> None:
+        """See the class."""
+        ...
 
 
 @contextmanager
-def progress_bars(out: Path | None = None) -> Iterator[StageProgress]:
-    """Bars for stages: call the yielded function with stage, steps done and steps in all.
-
-    Every ten seconds, a line with the stages under way is written into the file ``OUT.log`` beside the folder of the
-    results, if there is one. Another program's file of that name, or that of a pipe into it, stays as it is.
-    """
+def progress_bars(folder: Path | None = None) -> Iterator[StageReport]:
+    """One bar per stage; every ten seconds, a line with the stages under way in ``progress.log`` of the folder."""
     columns = (TextColumn("{task.description:>12}", markup=False), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=errors_console) as progress:
-        tasks: dict[str, int] = {}
+    note_column = TextColumn("{task.fields[note]}", markup=False)
+    with Progress(
+        *columns, TimeElapsedColumn(), TimeRemainingColumn(), note_column, console=errors_console
+    ) as progress:
+        tasks: dict[str, Any] = {}
 
-        def report(stage: str, done: int, total: int) -> None:
+        def report(stage: str, done: int, total: int, note: str = "") -> None:
             if stage not in tasks:
-                tasks[stage] = progress.add_task(stage, total=total)
-            progress.update(tasks[stage], completed=done, total=total)  # type: ignore[arg-type]
+                tasks[stage] = progress.add_task(stage, note="")
+            progress.update(tasks[stage], completed=done, total=total or None, note=plain(note))
 
         ended = Event()
-        if out is not None:
-            Thread(target=_log_progress, args=(out, progress, ended), daemon=True).start()
+        if folder is not None:
+            Thread(target=_log_progress, args=(folder / LOG, progress, ended), daemon=True).start()
         try:
             yield report
         finally:
             ended.set()
 
 
-def _log_progress(out: Path, progress: Progress, ended: Event) -> None:
-    log, mode = out.resolve(), "wb"
-    log = log.with_name(f"{log.name}.log")
+def _log_progress(log: Path, progress: Progress, ended: Event) -> None:
+    mode = "w"
     while not ended.wait(_LOG_EVERY_S):
         tasks = [task for task in progress.tasks if not task.finished] or progress.tasks[-1:]
-        stages = ", ".join(f"{task.description} {task.completed:g}/{task.total:g}" for task in tasks)
-        line = f"{time.strftime('%Y-%m-%d %H:%M:%S')} {stages}\n".encode()
-        with suppress(OSError):  # what cannot be written stops no work
-            if log.exists():
-                with log.open("rb") as file:
-                    if file.read(len(_LOG_HEADER)) != _LOG_HEADER:
-                        return
-            with log.open(mode) as file:
-                file.write(line if mode == "ab" else _LOG_HEADER + line)
-            mode = "ab"
-
-
-_NAMES = {
-    "online": "online, as a robot gets it",
-    "smoothed": "smoothed, with hindsight",
-    "hindsight": "hindsight, not smoothed",
-}
-
-
-def print_errors(errors: dict[str, dict[str, float]], note: str) -> None:
-    """The error table on the terminal."""
-    table = Table(title=f"errors, {note}", title_justify="left")
-    for column in ("method", "rmse_m", "rmse_deg", "median_m", "median_deg"):
-        table.add_column(column, justify="left" if column == "method" else "right")
-    for name, row in errors.items():
-        table.add_row(
-            _NAMES.get(name, name), *(f"{row[key]:.4f}" for key in ("rmse_m", "rmse_deg", "median_m", "median_deg"))
-        )
-    console.print(table)
-
-
-def print_where(folder: Path) -> None:
-    """The last line: where the results are."""
-    report_line(f"results: {folder.resolve()}")
+        stages = ", ".join(f"{task.description} {task.completed:g}/{task.total or 0:g}" for task in tasks)
+        with suppress(OSError), log.open(mode, encoding="utf-8") as file:  # a log that cannot be written stops no work
+            file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {stages}\n")
+            mode = "a"

@@ -19,6 +19,7 @@ from conformodal.corridor.ambiguity import check_ambiguity
 from conformodal.corridor.render import Renderer
 from conformodal.corridor.world import CorridorWorld
 from conformodal.corridor.writer import write_corridor
+from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Recording, read_sevenscenes
 from conformodal.pipeline.config import Method, ModelConfig
@@ -26,7 +27,8 @@ from conformodal.pipeline.results.folders import lock_output
 from conformodal.pipeline.results.runs import write_metrics
 from conformodal.report.page import write_page
 
-from .console import print_where, progress_bars, report_errors, report_line
+from .console import print_where, progress_bars, report_line
+from .failures import report_errors
 from .outcome import report_outcome
 from .train import train_on
 
@@ -38,10 +40,10 @@ ALPHA = 0.02
 _PAPERS_ALPHA = 0.1  # the paper's example, of each target
 
 
-@report_errors
+@report_errors()
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for all files of the demo.")] = Path("demo-out"),
-    seed: Annotated[int, typer.Option(help="Seed of the world, flight, split and training.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the world, flight, split and training.")] = 0,
     method: Annotated[
         Method, typer.Option(help="conformodal, or paper: the paper's system in the same world.")
     ] = Method.CONFORMODAL,
@@ -51,16 +53,18 @@ def demo(
     config = _config(method, seed)
     with lock_output(out, "demo"), progress_bars(out) as report:
         sequence = _corridor(out / "corridor", seed, report)
-        model = train_on(sequence, config, out / "model", cache_dir=out / "cache", report=report)
+        model = train_on(sequence, config, out / "model", features=FeatureCache(out / "cache"), report=report)
         outcome = answer_test_part(model, config, out, sequence, report)
         world = CorridorWorld(N_MODULES, seed=seed)
-        alike = check_ambiguity(outcome.run, outcome.truth, model, Renderer(world), stage_of(report, "look-alikes"))
+        alike = check_ambiguity(
+            outcome.run.regions, outcome.truth, model.sign_reference, Renderer(world), stage_of(report, "look-alikes")
+        )
         outcome.metrics["ambiguity"] = alike.record()
         outcome.metrics["command"] = "demo"
         outcome.metrics["seconds"] = round(time.perf_counter() - started, 2)
         write_metrics(out, outcome.metrics)
         write_page(out / "report.html", page_of(outcome, sequence, model, world, alike, out))
-    report_outcome(outcome.metrics, unbounded=outcome.metrics["coverage"]["unbounded"])
+    report_outcome("demo", outcome.metrics, unbounded=outcome.metrics["coverage"]["unbounded"])
     report_line(describe_places(outcome.metrics["ambiguity"]))
     report_line(describe_ratios(outcome.metrics))
     report_line(f"open {(out / 'report.html').resolve()}")

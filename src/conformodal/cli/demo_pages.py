@@ -25,7 +25,8 @@ from conformodal.pipeline.evaluate import path_coverage_table
 from conformodal.pipeline.model import ONLINE, PoseModel
 from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.plain import train_plain
-from conformodal.pipeline.results.runs import write_run
+from conformodal.pipeline.results.records import REGIONS, read_region_records
+from conformodal.pipeline.results.runs import read_trajectories, write_run
 from conformodal.pipeline.results.statistics import RegionStatistics
 from conformodal.pipeline.train import prepare_training_data
 from conformodal.report.figures import plan_figure
@@ -127,5 +128,12 @@ def page_of(
         summary,
         metrics,
         [PageFigure("plan", "One frame, and every place with the same view", caption, svg)],
-        make_viewer(folder, pictures.kept, model.rules.level, world.plan()),
+        make_viewer(
+            read_region_records(folder / REGIONS),
+            read_trajectories(folder),
+            outcome.truth,
+            pictures.jpegs,
+            model.rules.level,
+            world.plan(),
+        ),
     )

@@ -30,12 +30,13 @@ from conformodal.pipeline.results.records import (
 )
 from conformodal.pipeline.results.runs import read_metrics, read_trajectories, read_unfinished, write_metrics
 
-from .console import console, print_errors, print_where, report_errors, report_line, report_strongly
-from .outcome import describe_coverage
+from .console import console, print_where, report_line, report_strongly
+from .failures import report_errors
+from .outcome import describe_coverage, print_errors
 from .sources import FollowOutside, MaxGap, TimeOffset, open_sequence, read_poses
 
 
-@report_errors
+@report_errors()
 def evaluate(
     out: Annotated[Path, typer.Argument(help="Folder of results that run wrote.")],
     truth: Annotated[Path, typer.Option(help="True poses: a TUM trajectory, or a data set with poses.")],

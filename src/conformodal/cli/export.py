@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -20,19 +21,26 @@ from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.results.folders import lock_output
 from conformodal.pipeline.store import load_model, save_model
 
-from .console import print_where, progress_bars, report_errors
-from .options import OptionError
+from .console import print_where, progress_bars
+from .failures import OptionError, report_errors
 from .sources import Cache, DataLayout, FollowOutside, SavedModel, cache_folder, open_sequence
 from .train import train_on
 
 
-@report_errors
+class Quantise(StrEnum):
+    """Bits of an exported network."""
+
+    NONE = "none"
+    INT8 = "int8"
+
+
+@report_errors()
 def export(
     model: SavedModel,
     out: Annotated[Path, typer.Option(help="Folder for the exported model, which runs without torch.")],
     quantise: Annotated[
-        str, typer.Option(help="int8: quantise the network, then retrain and recalibrate the rest on --data.")
-    ] = "none",
+        Quantise, typer.Option(help="int8: quantise the network, then retrain and recalibrate the rest on --data.")
+    ] = Quantise.NONE,
     data: Annotated[
         Path | None, typer.Option(help="The data set that the model was trained on, for --quantise.")
     ] = None,
@@ -41,37 +49,32 @@ def export(
     cache: Cache = None,
 ) -> None:
     """Convert a model's network to ONNX, or quantise it to eight bits."""
-    if quantise not in ("none", "int8"):
-        raise OptionError(f"--quantise must be int8 or none, got {quantise!r}")
-    if (quantise == "int8") != (data is not None):
+    if (quantise is Quantise.INT8) != (data is not None):
         raise OptionError("--quantise int8 and --data go together: ranges and thresholds come from the training data")
-    loaded = load_model(model)
+    loaded, features = load_model(model), FeatureCache(cache_folder(cache))
     with lock_output(out, "train", apart=[model] if data is None else [model, data]):
-        cache_dir = cache_folder(cache)
         if data is None:
-            made = _in_onnx(loaded, FeatureCache(cache_dir))
-            save_model(made, out)
+            save_model(_in_onnx(loaded, features), out)
         else:
             sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
             _check_same_data(loaded, sequence, model)
-            with progress_bars() as report:
-                config = replace(config_of(loaded.settings), runtime=Runtime.INT8)
-                made = train_on(sequence, config, out, cache_dir=cache_dir, report=report)
+            config = replace(config_of(loaded.settings), runtime=Runtime.INT8)
+            with progress_bars(out) as report:
+                train_on(sequence, config, out, features=features, report=report)
     print_where(out)
 
 
-def _in_onnx(model: PoseModel, cache: FeatureCache) -> PoseModel:
+def _in_onnx(model: PoseModel, features: FeatureCache) -> PoseModel:
     """A model with its network in ONNX, or in eight bits where it is already."""
     if isinstance(model.backbone, OnnxBackbone):
         return model
-    from conformodal.features.export import exported  # noqa: PLC0415 - torch takes a second to import
-    from conformodal.features.networks.torch_backbone import (  # noqa: PLC0415 - torch takes a second to import
-        TorchBackbone,
-    )
+    # torch takes a second to import
+    from conformodal.features.export import exported  # noqa: PLC0415
+    from conformodal.features.networks.torch_backbone import TorchBackbone  # noqa: PLC0415
 
     assert isinstance(model.backbone, TorchBackbone)
     configuration = {**model.configuration, "runtime": str(Runtime.ONNX)}
-    return replace(model, backbone=exported(model.backbone, cache), configuration=configuration)
+    return replace(model, backbone=exported(model.backbone, features), configuration=configuration)
 
 
 def _check_same_data(model: PoseModel, sequence: Recording, folder: Path) -> None:

@@ -16,22 +16,23 @@ from conformodal.pipeline.config import Runtime
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.store import load_model, model_digest
 
-from .console import report_errors, report_line
+from .console import report_line
+from .failures import report_errors
 from .sources import SavedModel
 
 _TIMED = 20
 
 
-@report_errors
+@report_errors()
 def info(
     model: SavedModel, as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False
 ) -> None:
     """Print a saved model's training data, guarantee, size and network speed."""
-    found = _facts(load_model(model), model)
+    facts = _facts(load_model(model), model)
     if as_json:
-        typer.echo(json.dumps(found, indent=1))
+        typer.echo(json.dumps(facts, indent=1))
         return
-    for line in describe_facts(found):
+    for line in describe_facts(facts):
         report_line(line)
 
 
@@ -64,26 +65,26 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
     }
 
 
-def describe_facts(found: dict[str, Any]) -> list[str]:
+def describe_facts(facts: dict[str, Any]) -> list[str]:
     """The facts as lines."""
-    parts = ", ".join(f"{n} for {part}" for part, n in found["frames"].items())
-    what = "the whole pose" if found["joint"] != "none" else "each target by itself"
-    units = "frames" if found["calibrated_on"] == "frames" else "frames, in whole stretches or recordings,"
-    unbounded = [kind for kind, bounded in found["bounded_regions"].items() if not bounded and kind != "unknown"]
-    radius = f"{found['radius_m']:.3f} m" if found["radius_m"] is not None else "none (conformodal calibrate gives one)"
+    parts = ", ".join(f"{n} for {part}" for part, n in facts["frames"].items())
+    what = "the whole pose" if facts["joint"] != "none" else "each target by itself"
+    units = "frames" if facts["calibrated_on"] == "frames" else "frames, in whole stretches or recordings,"
+    unbounded = [kind for kind, bounded in facts["bounded_regions"].items() if not bounded and kind != "unknown"]
+    radius = f"{facts['radius_m']:.3f} m" if facts["radius_m"] is not None else "none (conformodal calibrate gives one)"
     return [
-        f"trained on {found['data']}: frames {parts} (split {found['split']}, seed {found['seed']})",
-        f"camera: {found['camera']['width']}x{found['camera']['height']}, fx {found['camera']['fx']:.1f}, "
-        f"fy {found['camera']['fy']:.1f}",
-        f"method {found['method']}; sources: {', '.join(found['sources'])}",
-        f"guarantee: regions hold {what} with probability at least {1 - found['alpha']:g}, for frames exchangeable "
-        f"with the {found['n_calibration']} {units} that calibrated them",
+        f"trained on {facts['data']}: frames {parts} (split {facts['split']}, seed {facts['seed']})",
+        f"camera: {facts['camera']['width']}x{facts['camera']['height']}, fx {facts['camera']['fx']:.1f}, "
+        f"fy {facts['camera']['fy']:.1f}",
+        f"method {facts['method']}; sources: {', '.join(facts['sources'])}",
+        f"guarantee: regions hold {what} with probability at least {1 - facts['alpha']:g}, for frames exchangeable "
+        f"with the {facts['n_calibration']} {units} that calibrated them",
         *(f"evidence {kind}: too few calibration frames, the region is unbounded" for kind in unbounded),
-        f"images whose p-value of showing a known place is at most {found['novelty_level']:g} "
-        f"({found['recognised_level']:g} where a place is recognised) get an unbounded region",
+        f"images whose p-value of showing a known place is at most {facts['novelty_level']:g} "
+        f"({facts['recognised_level']:g} where a place is recognised) get an unbounded region",
         f"radius around the chosen pose: {radius}",
-        f"size: {sum(found['bytes'].values()) / 1e6:.1f} MB",
-        f"network {found['network']} in {found['runtime']}: {found['network_ms']:.1f} ms per image here",
+        f"size: {sum(facts['bytes'].values()) / 1e6:.1f} MB",
+        f"network {facts['network']} in {facts['runtime']}: {facts['network_ms']:.1f} ms per image here",
     ]
 
 

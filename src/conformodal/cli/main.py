@@ -12,9 +12,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from conformodal.core.extras import MissingPackageError, require_extra
+from conformodal.core.extras import require_extra
 
-from .failures import explained
+from .failures import report_errors
 
 # By command, which is also the name of its module: the first line of its help.
 COMMANDS = {
@@ -44,37 +44,18 @@ class _LazyCommand(TyperCommand):
     def loaded(self) -> Any:
         """The command itself."""
         assert self.name is not None
-        try:
-            with require_extra(_EXTRAS.get(self.name, "run"), f"conformodal {self.name}"):
-                module = import_module(f"{__package__}.{self.name}")
-        except MissingPackageError as exc:
-            text, code = explained(exc)
-            typer.echo(f"error: {text}", err=True)
-            raise typer.Exit(code) from None
-        own = getattr(module, "app", None)
-        if own is None:
-            own = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-            own.command(self.name)(getattr(module, self.name))
-        command = get_command(own)
+        with report_errors(), require_extra(_EXTRAS.get(self.name, "run"), f"conformodal {self.name}"):
+            module = import_module(f"{__package__}.{self.name}")
+        single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+        if not hasattr(module, "app"):
+            single.command(self.name)(getattr(module, self.name))
+        command = get_command(getattr(module, "app", single))
         command.name = self.name
-        _add_ranges(command)
         return command
 
     def make_context(self, *arguments: Any, **options: Any) -> Any:
         """The loaded command's: from here on it is the one that runs."""
         return self.loaded().make_context(*arguments, **options)
-
-
-def _add_ranges(command: Any) -> None:
-    """Append the range of each option that is a number to its help."""
-    from .options import range_of  # noqa: PLC0415 - the list of commands needs no ranges, and they bring SciPy
-
-    for option in command.params:
-        allowed = range_of(option.name)
-        if allowed is not None:
-            option.help = f"{(option.help or '').rstrip('. ')}: {allowed}."
-    for each in getattr(command, "commands", {}).values():
-        _add_ranges(each)
 
 
 class _Commands(TyperGroup):

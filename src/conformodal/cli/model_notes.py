@@ -6,114 +6,80 @@ from math import ceil
 
 import numpy as np
 
-from conformodal.conformal.checks import Alpha, as_alpha
+from conformodal.conformal.checks import as_alpha
 from conformodal.core.arrays import IntArray
-from conformodal.core.words import counted
+from conformodal.core.words import counted, noun_for
 from conformodal.geometry import PinholeCamera
 from conformodal.io import Split, frames_to_known
 from conformodal.localizer.sources.landmarks import LandmarkSource
 from conformodal.localizer.targets import TARGET_NAMES
 from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.model import PoseModel
-from conformodal.quality.advice import WHERE
-from conformodal.quality.guarantee import guarantees
 
 _NEAR_FRAMES = 5
 _FOCAL_OFF = 0.02  # a focal length that differs by a larger share is reported
 
 
 def describe_landmarks(landmarks: LandmarkSource | None, camera: PinholeCamera) -> str:
-    """Note on the landmarks."""
+    """How many landmarks there are, and the focal length that the poses imply if it is another."""
     if landmarks is None:
-        return (
-            "no landmarks: too few corners of the training frames could be triangulated; the belief rests on the other "
-            "sources"
-        )
+        return "no landmarks: too few corners of the training frames could be triangulated; other sources answer"
     n_landmarks, n_frames = (int(landmarks.summary[name]) for name in ("n_landmarks", "n_keyframes"))
     text = f"{counted(n_landmarks, 'landmark')} of {counted(n_frames, 'frame')}"
-    found, given = landmarks.map.camera.fx, camera.fx
-    if abs(found / given - 1) > _FOCAL_OFF:
-        text += (
-            f"; the poses imply a focal length of {found:.0f} px where {given:.0f} px is given: landmarks use the "
-            "former, all else the latter"
-        )
+    implied, given = landmarks.map.camera.fx, camera.fx
+    if abs(implied / given - 1) > _FOCAL_OFF:
+        text += f"; the poses imply a focal length of {implied:.0f} px where {given:.0f} px is given: check the camera"
     return text
 
 
 def distances(split: Split, recording: IntArray) -> dict[str, float | None]:
     """Median frames from a test frame to the nearest known one, and the share within five; null if none is known."""
-    found = frames_to_known(split, recording)
-    median = float(np.median(found))
+    frames = frames_to_known(split, recording)
+    median = float(np.median(frames))
     return {
         "median_frames_to_known": median if np.isfinite(median) else None,
-        "share_within_5_frames": float(np.mean(found <= _NEAR_FRAMES)),
+        "share_within_5_frames": float(np.mean(frames <= _NEAR_FRAMES)),
     }
 
 
-def describe_distances(split: Split, recording: IntArray) -> str:
+def describe_distances(distance: dict[str, float | None]) -> str:
     """How near the test frames are to frames that are known, see :func:`distances`."""
-    found = distances(split, recording)
-    if found["median_frames_to_known"] is None:
+    median, near = distance["median_frames_to_known"], distance["share_within_5_frames"] or 0
+    if median is None:
         return "test frames are from recordings without a training or calibration frame"
-    median = found["median_frames_to_known"]
     return (
-        f"test frames lie a median of {median:g} {'frame' if median == 1 else 'frames'} from the nearest training or "
-        f"calibration frame, {100 * (found['share_within_5_frames'] or 0):.0f} % of them within {_NEAR_FRAMES}"
+        f"test frames lie a median of {median:g} {noun_for(int(median), 'frame')} from the nearest training or "
+        f"calibration frame, {100 * near:.0f} % of them within {_NEAR_FRAMES}"
     )
-
-
-def describe_repeated(n_repeated: int, n_test: int) -> list[str]:
-    """Warning about test frames with the pixels of a known frame; nothing if there are none."""
-    if not n_repeated:
-        return []
-    shows, their = ("shows", "its") if n_repeated == 1 else ("show", "their")
-    return [
-        f"{n_repeated} of {counted(n_test, 'test frame')} {shows} the same picture as a training or calibration frame: "
-        f"{their} errors and regions do not show what to expect of new images"
-    ]
 
 
 def describe_calibration(model: PoseModel, config: ModelConfig, n_recordings: int) -> list[str]:
     """Notes on the calibration; `n_recordings` counts those of training and calibration frames."""
-    softmax, n_frames = model.calibration, model.n_calibration
-    by_frame, n = softmax.groups_ is None, softmax.n_units
+    rule, n = model.calibration, model.calibration.n_units
     unit, units = ("recording", "recordings") if n == n_recordings else ("stretch", "stretches")
-    if by_frame:
+    if rule.groups_ is None:
+        unit, units = "frame", "frames"
         lines = [f"regions are calibrated on the {counted(n, 'frame')} of the calibration part"]
     else:
         lines = [
-            f"regions are calibrated on {counted(n, unit, units)}, {counted(n_frames, 'frame')} of the "
-            f"training and calibration parts together; each frame is answered by sources that did not see its {unit}"
+            f"regions are calibrated on {counted(n, unit, units)}, {counted(model.n_calibration, 'frame')} of the "
+            f"training and calibration parts; each frame is answered by sources that did not see its {unit}"
         ]
-    if softmax.joint != config.joint:
-        least = min((one for one in guarantees(model) if one.weight >= one.weight_needed), key=lambda one: one.weight)
+    if rule.joint != config.joint:
+        needed = ceil(len(TARGET_NAMES) / as_alpha(model.alpha)) - 1
         lines.append(
-            f"the whole pose has one threshold (joint {softmax.joint}), not one for each target (joint "
-            f"{config.joint}): at alpha {model.alpha:g}, alpha / {len(TARGET_NAMES)} needs "
-            f"{_units_needed(model.alpha)} {'frames' if by_frame else units} of each evidence type, and those "
-            f"{WHERE[least.evidence]} weigh {least.weight:.4g}"
+            f"the whole pose has one threshold (joint {rule.joint}): one for each target (joint {config.joint}) needs "
+            f"{needed} {units} of each evidence type at alpha {model.alpha:g}"
         )
     if config.method is Method.PAPER:
         lines.append("images are not tested for unknown places: the paper has no such test")
     elif model.novelty is None:
-        lines.append(
-            "images are not tested for unknown places: the test leaves out one piece of the data at a time, and there "
-            "is only one piece"
-        )
-    elif model.rules.level < model.novelty.test.least_p:
-        lines.append(
-            f"no image is taken for an unknown place at the novelty level {model.rules.level:g}: with "
-            f"{counted(model.novelty.test.n_groups, 'piece')} of the data no p-value is below "
-            f"{model.novelty.test.least_p:.3g}"
-        )
+        lines.append("images are not tested for unknown places: the data are one piece, and the test leaves one out")
+    elif model.rules.level < (least := model.novelty.test.least_p):
+        lines.append(f"no image is taken for an unknown place: no p-value of these data is below {least:.3g}")
     else:
         lines.append(
             f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}, or "
             f"{model.recognised_level:.3g} if a place is recognised"
         )
     return lines
-
-
-def _units_needed(alpha: Alpha) -> int:
-    """Frames or stretches that a finite threshold for each target at its share of alpha needs."""
-    return ceil(len(TARGET_NAMES) / as_alpha(alpha)) - 1

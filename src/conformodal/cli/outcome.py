@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from rich.table import Table
 
 from conformodal.core.arrays import IntArray
 from conformodal.core.words import counted, noun_for
@@ -20,8 +21,13 @@ from conformodal.pipeline.model import HINDSIGHT, ONLINE, PoseModel
 from conformodal.pipeline.results.provenance import provenance
 from conformodal.pipeline.results.statistics import RegionStatistics
 
-from .console import console, print_errors, report_line, report_strongly
+from .console import console, report_line, report_strongly
 
+_NAMES = {
+    "online": "online, as a robot gets it",
+    "smoothed": "smoothed, with hindsight",
+    "hindsight": "hindsight, not smoothed",
+}
 _SAME_CAMERA = 1e-6  # share of the image width that intrinsics may differ by: text files round them
 
 
@@ -47,39 +53,29 @@ class GroundTruth:
 def part_frames(model: PoseModel, sequence: Recording, part: Part) -> IntArray | None:
     """Where the frames of a part of the model's own data set are in a sequence, increasing; None for all.
 
-    They are known by their pixels. Those that the sequence has not are left out, and their number is printed.
+    They are recognised by their pixels. Those that the sequence lacks are left out, and their number is printed.
     """
     if part is Part.ALL:
         return None
     rows = model.split.part(str(part))
-    here = identify(sequence, model.known_frames)
-    found = model.known_frames.find(here)
-    at, moved = found.at[rows], found.moved[rows]
-    its, n = f"the {part} part of the model's data set ({model.configuration['data']})", len(rows)
-    seen = np.maximum(at, moved)
-    if (seen < 0).all():
-        raise OdometryError(
-            f"{sequence.name}: none of its {counted(len(sequence), 'frame')} has the pixels of one of the "
-            f"{counted(n, 'frame')} of {its}; give that data set, or run on all of this one"
-        )
+    matches = model.known_frames.find(identify(sequence, model.known_frames))
+    at, elsewhere = matches.at[rows], matches.moved[rows]
+    n, where = counted(len(rows), "frame"), f"the {part} part of {model.configuration['data']}"
+    shown = np.sort(np.maximum(at, elsewhere))
+    if (shown < 0).all():
+        raise OdometryError(f"{sequence.name}: has none of the {n} of {where}; give that data set or run on all")
     try:
         model.check_camera(sequence.camera, _SAME_CAMERA)
     except OdometryError as exc:
-        path = sequence.image_paths[seen[seen >= 0].min()]
-        raise OdometryError(f"{path}: has the pixels of a frame of {its}, but another camera: {exc}") from None
-    if (moved >= 0).any():
-        first = moved[moved >= 0].min()
-        expected = model.known_frames.poses[rows[moved == first][0]]
-        raise OdometryError(
-            f"{sequence.image_paths[first]}: has the pixels of a frame of {its}, but another pose, and so have "
-            f"{(moved >= 0).sum()} of {counted(n, 'frame')}; found x y z qw qx qy qz "
-            f"{here.poses[first].round(6).tolist()}, expected {expected.round(6).tolist()}"
-        )
-    if (at < 0).any():
-        n_missing = int((at < 0).sum())
-        are, have = noun_for(n_missing, "is", "are"), noun_for(n_missing, "has", "have")
-        which = f"{n_missing} of {counted(n, 'frame')} of the {part} part"
-        report_line(f"{which} {are} not in {sequence.name}, or {have} no pose there")
+        first = sequence.image_paths[shown[shown >= 0][0]]
+        raise OdometryError(f"{first}: is a frame of {where}, but from another camera: {exc}") from None
+    other_pose = np.sort(elsewhere[elsewhere >= 0])
+    if len(other_pose):
+        first = sequence.image_paths[other_pose[0]]
+        raise OdometryError(f"{first}: is a frame of {where}, but has another pose, as {len(other_pose)} of {n} have")
+    n_missing = int((at < 0).sum())
+    if n_missing:
+        report_line(f"{n_missing} of {n} of {where} are not in {sequence.name}, or have no pose there")
     return np.sort(at[at >= 0])
 
 
@@ -136,80 +132,83 @@ def _origin(model: PoseModel, part: Part) -> dict[str, Any]:
     }
 
 
-def summary(name: str, metrics: dict[str, Any]) -> list[str]:
-    """The page's first lines."""
+def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:
+    """What was answered, and what a user must know of it: the first lines of the page and on the terminal."""
+    n, n_unknown = counted(metrics["n_answered"], "frame"), metrics["n_unknown"]
     lines = [
-        f"{name}: {counted(metrics['n_answered'], 'frame')} answered, {metrics['split_note']}",
+        f"{name}: {n} answered, {metrics['split_note']}",
         f"Frames not reliable (motion or place): {metrics['n_unreliable']}; without an image: "
         f"{metrics['n_without_image']}; with a pose from landmarks: {metrics['n_localized']}.",
     ]
-    lines += [f"{line}." for line in _describe_unknown(metrics)]
+    if n_unknown:
+        verb = noun_for(n_unknown, "shows", "show")
+        lines.append(f"{n_unknown} of {n} {verb} no known place: the region is unbounded there.")
+    rest, every = (metrics.get(table, {}).get(ONLINE) for table in ("errors_known_places", "errors"))
+    if rest is not None and any(f"{rest[key]:.4f}" != f"{every[key]:.4f}" for key in ("rmse_m", "rmse_deg")):
+        lines.append(f"Without these the online RMSE is {rest['rmse_m']:.4f} m and {rest['rmse_deg']:.4f} degrees.")
     if metrics["radius"] is not None:
         radius = metrics["radius"]
-        lines.append(f"The {radius['method']} pose has a radius of {_size(radius)}. {radius['assumption']}")
+        size = "infinity: too few recordings calibrate it"
+        if radius["radius_m"] is not None and radius["radius_deg"] is not None:
+            size = f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees"
+        lines.append(f"The {radius['method']} pose has a radius of {size}. {radius['assumption']}")
     if metrics.get("stopped"):
         lines.append(f"Stopped early: {metrics['stopped']}. All results up to then are here.")
     return lines
 
 
-def report_outcome(metrics: dict[str, Any], *, unbounded: bool) -> None:
+def report_outcome(name: str, metrics: dict[str, Any], *, unbounded: bool) -> None:
     """The result on the terminal."""
-    lost = f", {metrics['n_without_image']} without an image" if metrics["n_without_image"] else ""
-    localized = f", landmarks gave a pose in {metrics['n_localized']}" if metrics["n_localized"] else ""
-    console.print(f"{counted(metrics['n_answered'], 'frame')}, {metrics['n_unreliable']} not reliable{localized}{lost}")
-    for name, why in list(metrics["problems"].items())[:3]:
-        report_line(f"  {name}: {why}")
-    for line in _describe_unknown(metrics):
+    for line in describe_outcome(name, metrics):
         report_line(line)
+    for frame, problem in list(metrics["problems"].items())[:3]:
+        report_line(f"  {frame}: {problem}")
     if unbounded:
         report_strongly(
             "The region of a frame that shows a known place is unbounded in some target: too few calibration frames "
             "have the same evidence type for this alpha, or too many of them lie beyond the training range."
         )
-    if metrics["radius"] is not None:
-        console.print(f"radius of the {metrics['radius']['method']} pose: {_size(metrics['radius'])}")
-    if "errors" in metrics:
-        if metrics["n_with_truth"] < metrics["n_answered"]:
-            console.print(f"{metrics['n_with_truth']} of {metrics['n_answered']} frames have a true pose; of these:")
-        print_errors(metrics["errors"], metrics["split_note"])
-        coverage, band = metrics["coverage"], metrics["coverage"]["joint_band_99"]
-        between = "" if band is None else f" (99 % band {band[0]:.3f} to {band[1]:.3f})"
-        report_line(
-            f"{describe_coverage(coverage)}; over all frames {coverage['joint_coverage']:.3f}{between}, "
-            f"alpha = {coverage['alpha']} ({coverage['joint']}). {coverage['assumption']}"
-        )
-        if metrics.get("path_coverage"):
-            report_line(describe_paths(metrics["path_coverage"]))
+    if "errors" not in metrics:
+        return
+    if metrics["n_with_truth"] < metrics["n_answered"]:
+        report_line(f"{metrics['n_with_truth']} of {metrics['n_answered']} frames have a true pose; of these:")
+    print_errors(metrics["errors"], metrics["split_note"])
+    coverage, band = metrics["coverage"], metrics["coverage"]["joint_band_99"]
+    between = "" if band is None else f" (99 % band {band[0]:.3f} to {band[1]:.3f})"
+    report_line(
+        f"{describe_coverage(coverage)}; over all frames {coverage['joint_coverage']:.3f}{between}, "
+        f"alpha = {coverage['alpha']} ({coverage['joint']}). {coverage['assumption']}"
+    )
+    if metrics.get("path_coverage"):
+        report_line(describe_paths(metrics["path_coverage"]))
+
+
+def print_errors(errors: dict[str, dict[str, float]], note: str) -> None:
+    """The table of errors by method."""
+    table = Table(title=f"errors, {note}", title_justify="left")
+    columns = ("rmse_m", "rmse_deg", "median_m", "median_deg")
+    table.add_column("method")
+    for column in columns:
+        table.add_column(column, justify="right")
+    for name, row in errors.items():
+        table.add_row(_NAMES.get(name, name), *(f"{row[column]:.4f}" for column in columns))
+    console.print(table)
 
 
 def describe_paths(paths: dict[str, Any]) -> str:
     """How often regions from posteriors hold the pose, how many places they name, and confident mistakes."""
-    named = {ONLINE: "from the frames so far", HINDSIGHT: "with hindsight"}
+    names = {ONLINE: "From the frames so far", HINDSIGHT: "with hindsight"}
     parts = [
-        f"{what}, regions hold the pose in {100 * its['coverage']:.1f} % of the frames and name "
-        f"{its['mean_places'] or 0:.2f} places on average"
-        for path, what in named.items()
-        if (its := paths.get(path))
+        f"{name}, regions hold the pose in {100 * row['coverage']:.1f} % of the frames and name "
+        f"{row['mean_places'] or 0:.2f} places on average"
+        for path, name in names.items()
+        if (row := paths.get(path))
     ]
     missed = f"{paths['n_reliable_and_missed']} of {counted(paths['n_reliable'], 'reliable frame')}"
-    text = (
+    return (
         f"{'; '.join(parts)}; the region from the frames so far misses the pose in {missed}, "
         f"{paths['n_reliable_and_elsewhere']} of them with the pose at another place. {paths['assumption']}"
     )
-    return text[0].upper() + text[1:]
-
-
-def _describe_unknown(metrics: dict[str, Any]) -> list[str]:
-    """Frames that show no known place, and the errors without them; empty if there are none."""
-    n, n_answered = metrics["n_unknown"], metrics["n_answered"]
-    if not n:
-        return []
-    shows, their, it = ("shows", "its", "it") if n == 1 else ("show", "their", "them")
-    lines = [f"{n} of {counted(n_answered, 'frame')} {shows} no known place: {their} region is unbounded"]
-    rest, whole = (metrics.get(name, {}).get(ONLINE) for name in ("errors_known_places", "errors"))
-    if rest is not None and any(f"{rest[name]:.4f}" != f"{whole[name]:.4f}" for name in ("rmse_m", "rmse_deg")):
-        lines.append(f"Without {it} the online RMSE is {rest['rmse_m']:.4f} m and {rest['rmse_deg']:.4f} degrees")
-    return lines
 
 
 def describe_coverage(coverage: dict[str, Any]) -> str:
@@ -225,12 +224,6 @@ def describe_coverage(coverage: dict[str, Any]) -> str:
         f"{held} of {counted(n_bounded, 'bounded region')} ({100 * coverage['bounded_coverage']:.1f} %) "
         f"{noun_for(held, 'holds', 'hold')} the whole pose{smallest}; {unbounded} in some target"
     )
-
-
-def _size(radius: dict[str, Any]) -> str:
-    if radius["radius_m"] is None or radius["radius_deg"] is None:
-        return "infinity: too few recordings calibrate it"
-    return f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees"
 
 
 def _split_note(model: PoseModel, part: Part, n_answered: int) -> str:

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 import typer
 
+from conformodal.core.words import counted
 from conformodal.geometry import Trajectory
 from conformodal.io import Layout, Recording
 from conformodal.io.joining import join_streams
@@ -29,26 +30,24 @@ from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.results.folders import lock_output, result_digests
 from conformodal.pipeline.results.parquet import write_region_parquet
-from conformodal.pipeline.results.runs import read_trajectories, write_metrics
+from conformodal.pipeline.results.records import REGIONS, read_region_records
+from conformodal.pipeline.results.runs import write_metrics
 from conformodal.pipeline.results.writer import ResultsWriter
 from conformodal.pipeline.store import load_model, model_digest
 from conformodal.pipeline.stream import StreamRunner
-from conformodal.report.live import LiveView
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
-from conformodal.ros.bag import BagWriter
 
-from .console import print_where, report_errors, report_line, report_strongly
-from .failures import BROKE_OFF, stop_code, stopping
-from .options import ROS_SUFFIX, OptionError
-from .outcome import GroundTruth, Part, part_frames, report_outcome, run_metrics, summary, unfinished_metrics
-from .sources import FollowOutside, SavedModel, open_source
-from .status_line import StatusLine
+from .console import StageReport, print_where, progress_bars, report_line
+from .failures import BROKE_OFF, OptionError, report_errors, stop_code, stopping
+from .outcome import GroundTruth, Part, describe_outcome, part_frames, report_outcome, run_metrics, unfinished_metrics
+from .sources import DataLayout, FollowOutside, SavedModel, open_source
 
 _INTERRUPTED = "interrupted"
+RERUN_SUFFIX, ROS_SUFFIX = ".rrd", ".mcap"
 
 
-@report_errors
+@report_errors()
 def run(
     model: SavedModel,
     sources: Annotated[
@@ -60,7 +59,7 @@ def run(
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
-    layout: Annotated[Layout, typer.Option("--format", help="Layout of a folder.")] = Layout.AUTO,
+    layout: DataLayout = Layout.AUTO,
     part: Annotated[Part, typer.Option(help="Frames to answer: all, or a part of the model's own data set.")] = (
         Part.ALL
     ),
@@ -68,15 +67,17 @@ def run(
     novelty_level: Annotated[
         float | None,
         typer.Option(
+            min=0,
+            max=1,
             help="Another level than the model was saved with: an image whose p-value of showing a known place is at "
-            "most this gets an unbounded region."
+            "most this gets an unbounded region.",
         ),
     ] = None,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
     pace: Annotated[
         Pace, typer.Option(help="fast: as fast as it can; camera: by the timestamps, losing frames that come too soon.")
     ] = Pace.FAST,
-    limit: Annotated[int | None, typer.Option(help="Stop after so many frames.")] = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
     view: Annotated[bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').")] = False,
     follow_outside: FollowOutside = False,
     save: Annotated[
@@ -89,6 +90,7 @@ def run(
 
     Ctrl-C stops it and keeps the results.
     """
+    _check_recording(save, sources, images=save_images)
     with lock_output(out, "run", apart=[model, *map(Path, sources)]):
         loaded = load_model(model)
         if alpha is not None:
@@ -108,14 +110,23 @@ def run(
         how = _StreamOptions(part, pace, limit, model_digest(model))
         with frame_sinks(stream.name, loaded.alpha, view=view, save=save, images=save_images) as watching:
             metrics, unbounded = _stream_through(loaded, stream, out, how, watching)
-    report_outcome(metrics, unbounded=unbounded)
-    if metrics["stopped"]:
-        report_strongly(f"stopped early: {metrics['stopped']}")
+    report_outcome(stream.name, metrics, unbounded=unbounded)
     print_where(out)
     if metrics["stopped"] == _INTERRUPTED:
         raise typer.Exit(stop_code([metrics["signal"]]))
     if metrics["stopped"]:
         raise typer.Exit(BROKE_OFF)
+
+
+def _check_recording(save: Path | None, sources: list[str], *, images: bool) -> None:
+    """Refuse a recording that would replace another kind of file or its own source, and images that no file is for."""
+    suffix = "" if save is None else save.suffix.lower()
+    if save is not None and (save.is_dir() or suffix not in (RERUN_SUFFIX, ROS_SUFFIX)):
+        raise OptionError(f"--save must name a file {RERUN_SUFFIX} or {ROS_SUFFIX}, got {str(save)!r}")
+    if save is not None and save.absolute() in [Path(source).absolute() for source in sources]:
+        raise OptionError(f"--save would write over the source, {save}; name another file")
+    if images and suffix != ROS_SUFFIX:
+        raise OptionError(f"--save-images needs --save FILE{ROS_SUFFIX}, got {save or 'no --save'}")
 
 
 def _as_trained(model: PoseModel, stream: FrameStream, *, bring: bool) -> FrameStream:
@@ -158,9 +169,13 @@ def frame_sinks(
     found: list[FrameSink] = []
     with ExitStack() as opened:
         if save is not None and ros:
+            from conformodal.ros.bag import BagWriter  # noqa: PLC0415 - an extra
+
             found.append(BagWriter(save, images=images))
             opened.callback(found[-1].close)
         if view or rerun is not None:
+            from conformodal.report.live import LiveView  # noqa: PLC0415 - an extra
+
             found.append(LiveView(name, alpha, spawn=view, save=rerun))
             opened.callback(found[-1].close)
         yield tuple(found)
@@ -209,8 +224,8 @@ def _stream_through(
     with stopping(gently=True) as stop, ResultsWriter(out, answer=odometry.answer) as writer:
         write_metrics(writer.place, unfinished_metrics(model, how.part, how.digest))
         truth, posed = (None, None) if sequence is None else (sequence.poses, sequence.posed)
-        with StreamRunner(odometry, writer, truth=truth, posed=posed) as runner:
-            stopped, limited = _push_all(runner, stream, shown, how, stop)
+        with progress_bars(out) as report, StreamRunner(odometry, writer, truth=truth, posed=posed) as runner:
+            stopped, limited = _push_all(runner, stream, shown, how, stop, report)
             runner.finish()
         seconds = time.perf_counter() - started
         if not runner.n_answered:
@@ -224,21 +239,38 @@ def _stream_through(
 
 
 def _push_all(
-    runner: StreamRunner, stream: FrameStream, shown: _Shown, how: _StreamOptions, stop: list[int]
+    runner: StreamRunner,
+    stream: FrameStream,
+    shown: _Shown,
+    how: _StreamOptions,
+    stop: list[int],
+    report: StageReport,
 ) -> tuple[str, bool]:
     """Why the stream was stopped, if it was, and whether the limit ended it."""
     try:
-        with StatusLine(stream.n_frames) as status, closing(prefetch(stream, pace=how.pace)) as frames:
+        with closing(prefetch(stream, pace=how.pace)) as frames:
             for number, frame in enumerate(frames, start=1):
                 estimate = runner.push(frame)
                 if estimate is not None:
                     shown.take(frame, estimate, runner.true_pose(frame))
-                    status.update(number, estimate)
+                    report("frames", number, stream.n_frames or 0, state_of(estimate))
                 if stop or number == how.limit:
                     return _INTERRUPTED if stop else "", number == how.limit
     except SourceError as exc:
         return str(exc), False
     return "", False
+
+
+def state_of(estimate: Estimate) -> str:
+    """The outcome of a frame, in a few words."""
+    if estimate.region is None:
+        return f"no answer: {estimate.problem}"
+    if estimate.evidence is EvidenceType.UNKNOWN:
+        motion = estimate.relative_motion
+        lost = "" if motion is None or motion.reliable else f", {motion.status}"
+        return f"unknown place (p = {estimate.known_p:.2g}){lost}"
+    places = counted(int((estimate.path_region or estimate.region).n_places[0]), "place")
+    return f"{'reliable' if estimate.reliable else estimate.problem}, {places}"
 
 
 def _write_results(
@@ -257,14 +289,14 @@ def _write_results(
     if runner.truth is not None:
         known = GroundTruth(runner.truth, runner.statistics, np.array(runner.known), runner.path_coverage)
         writer.truth(known.truth)
-    needed = known is not None or (model.radius is not None and part is Part.ALL)
-    trajectories = read_trajectories(writer.place) if needed else {}
+    trajectories = runner.trajectories
     metrics = run_metrics(model, part, trajectories, known, counts, whole=whole)
     write_metrics(writer.place, metrics)
     if find_spec("pyarrow"):  # an extra
         write_region_parquet(writer.place)
-    viewer = make_viewer(writer.place, shown.pictures.kept, model.rules.level)
-    page = ReportContent(f"conformodal: {name}", summary(name, metrics), metrics, viewer=viewer)
+    records = read_region_records(writer.place / REGIONS)
+    viewer = make_viewer(records, trajectories, runner.truth, shown.pictures.jpegs, model.rules.level)
+    page = ReportContent(f"conformodal: {name}", describe_outcome(name, metrics), metrics, viewer=viewer)
     write_page(writer.place / "report.html", page)
     return metrics
 

@@ -28,27 +28,33 @@ from conformodal.io.streams.opening import open_stream
 from conformodal.io.streams.stored import RecordingStream
 
 from .console import report_line, warning_lines
-from .options import OptionError
+from .failures import OptionError
 
 _MOST_NOTES = 5
 
+DATA_PANEL = "Data and split"
 AllData = Annotated[
     list[Path], typer.Argument(metavar="DATA...", help="Data sets: images with poses, in one world frame.")
 ]
 Data = Annotated[Path, typer.Argument(help="Data set: images with poses.")]
 SavedModel = Annotated[Path, typer.Argument(help="Folder of a saved model.")]
-DataLayout = Annotated[Layout, typer.Option("--format", help="Layout of the data set.")]
+DataLayout = Annotated[Layout, typer.Option("--format", help="Layout of the data set.", rich_help_panel=DATA_PANEL)]
 FollowOutside = Annotated[
     bool,
     typer.Option(
         "--follow-outside",
         help="Follow names of images that lead out of the data set's folder: absolute, or by '..'. Links always are.",
+        rich_help_panel=DATA_PANEL,
     ),
 ]
 MaxGap = Annotated[float, typer.Option(min=0, help="Longest gap, seconds, between two poses to interpolate between.")]
 TimeOffset = Annotated[float, typer.Option(help="Seconds to add to the times of the poses.")]
 Focal = Annotated[
-    str | None, typer.Option(help="Focal length, pixels, of images without a camera; auto: from poses and images.")
+    str | None,
+    typer.Option(
+        help="Focal length, pixels, of images without a camera; auto: from poses and images.",
+        rich_help_panel=DATA_PANEL,
+    ),
 ]
 Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")]
 
@@ -60,8 +66,14 @@ def cache_folder(cache: Path | None) -> Path:
     return folder
 
 
-def _report_warnings(notes: Iterable[Note]) -> None:
-    """Name what the reader left out, or found unlikely."""
+def was_given(context: typer.Context, name: str) -> bool:
+    """Whether a user has given an option, even with its default value."""
+    source = context.get_parameter_source(name)
+    return source is not None and not source.name.startswith("DEFAULT")
+
+
+def _report_notes(notes: Iterable[Note]) -> None:
+    """Name what the reader left out, or finds unlikely."""
     for what, places in by_what(notes).items():
         for where in places[:_MOST_NOTES]:
             report_line(f"{what}: {where}")
@@ -86,7 +98,7 @@ def open_sequence(
         warnings.simplefilter("ignore", DatasetWarning)
         sequence = read_recording(path, layout, require_poses=require_poses, follow_outside=follow_outside, focal=focal)
     if notes:
-        _report_warnings(sequence.notes)
+        _report_notes(sequence.notes)
     return sequence
 
 
@@ -106,7 +118,7 @@ def open_sequences(
     )
     read = [open_one(path) for path in every]
     whole = join_recordings(read, None if test is None else [path is test for path in every])
-    _report_warnings(whole.notes[sum(len(its.notes) for its in read) :])
+    _report_notes(whole.notes[sum(len(part.notes) for part in read) :])
     return whole
 
 
@@ -118,7 +130,7 @@ def read_poses(
     if isinstance(stream, BagStream) and not path.exists():
         notes = list[Note]()
         poses = read_bag_poses(stream, str(source), notes, max_gap_s)
-        _report_warnings(notes)
+        _report_notes(notes)
     else:
         with warning_lines(Warning):
             poses = read_tum(path)
@@ -151,10 +163,10 @@ def open_source(
         kind = recognise(Path(source)) if layout is Layout.AUTO else layout
         poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"
         report_line(f"{source}: {kind} layout, {counted(len(stream.sequence), 'frame')} {poses}")
-        _report_warnings(stream.sequence.notes)
+        _report_notes(stream.sequence.notes)
     else:
         count = "" if stream.n_frames is None else f", {counted(stream.n_frames, 'frame')}"
         kind_of_stream = type(stream).__name__.removesuffix("Stream").lower()
         report_line(f"{stream.name}: {kind_of_stream}{count}")
-        _report_warnings(stream.notes)
+        _report_notes(stream.notes)
     return stream

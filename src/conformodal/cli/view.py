@@ -10,10 +10,11 @@ import typer
 
 from conformodal.pipeline.errors import ResultsError
 
-from .console import console, report_errors, report_line
+from .console import console, report_line
+from .failures import report_errors
 
 
-@report_errors
+@report_errors()
 def view(
     results: Annotated[Path, typer.Argument(help="Folder of run or demo, or a page.")],
     browser: Annotated[bool, typer.Option(help="Open it; --no-browser only says where it is.")] = True,
