@@ -134,7 +134,7 @@ def test_renewed_corners_chain_rotations_and_leave_the_direction_out():
     front_end.reset()
     front_end.measure(images[0])
     front_end.track_only(images[1])
-    front_end._accumulate()  # what happens when most corners are gone
+    front_end._renew_corners()  # what happens when most corners are gone
     front_end.track_only(images[2])
     motion = front_end.measure(images[3])
     assert motion.rotation_sigma_rad > first  # the last part's variance is added

@@ -28,11 +28,11 @@ def affine_flow(step: _Step, seconds: float, camera: PinholeCamera) -> FloatArra
     if not 0 < seconds < FLOW.longest_s or len(step[0]) < FLOW.least_corners:
         return NO_FLOW
     before, now = (undistort(pixels.astype(np.float64), camera) for pixels in step)
-    moved, rows = now - before, np.column_stack((now, np.ones(len(now))))
+    shifts, rows = now - before, np.column_stack((now, np.ones(len(now))))
     weights = np.ones((len(now), 1))
     for _ in range(FLOW.iterations):
-        flow, *_ = np.linalg.lstsq(rows * weights, moved * weights, rcond=None)
-        off = np.linalg.norm(moved - rows @ flow, axis=1)
+        flow, *_ = np.linalg.lstsq(rows * weights, shifts * weights, rcond=None)
+        off = np.linalg.norm(shifts - rows @ flow, axis=1)
         weights = 1 / np.sqrt(1 + (off / (np.median(off) + FLOW.least_px)) ** 2)[:, None]
     return np.asarray(flow.T / seconds)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import reduce
 
 import numpy as np
 
@@ -14,9 +15,7 @@ from conformodal.io.decoding import grey_image
 from .relative_pose import estimate_relative_motion
 from .settings import RELATIVE_POSE
 from .tracker import Corners, CornerTracker
-from .two_view import solve_opencv
-
-_FIVE = 5  # corners that an essential matrix needs
+from .two_view import TwoViewSolver, solve_opencv, solve_poselib
 
 
 class FrontEnd(ABC):
@@ -69,26 +68,21 @@ class MotionFrontEnd(FrontEnd):
     lengths of the parts, is left out.
     """
 
-    def __init__(self, camera: PinholeCamera) -> None:
+    def __init__(self, camera: PinholeCamera, solver: TwoViewSolver = solve_poselib) -> None:
         super().__init__(camera)
-        self._forget_accumulated()
+        self.solver = solver
+        self._parts: list[RelativeMotion] = []  # from the frame measured last to the mark
 
     def reset(self) -> None:
         """Start a new recording."""
         super().reset()
-        self._forget_accumulated()
-
-    def _forget_accumulated(self) -> None:
-        self._accumulated = np.eye(3)  # rotation from the frame measured last to the mark
-        self._n_accumulated = 0
-        self._accumulated_variance = 0.0
-        self._broken = False
+        self._parts = []
 
     def track_only(self, image: UInt8Array) -> None:
         """Track corners through a frame (height, width[, 3]) without measuring a motion."""
         super().track_only(image)
         if len(self.tracker.pairs()[0]) < RELATIVE_POSE.remark_below * self.tracker.n_at_mark:
-            self._accumulate()
+            self._renew_corners()
 
     def measure(self, image: UInt8Array) -> RelativeMotion | None:
         """Motion from the frame measured last to this one.
@@ -101,37 +95,35 @@ class MotionFrontEnd(FrontEnd):
         return motion
 
     def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
-        motion = self._since_mark(before, now)
-        if self._n_accumulated or self._broken:
-            motion = self._chain(motion)
-        self._forget_accumulated()
-        return motion
+        parts, self._parts = self._parts, []
+        return _chain(parts, self._since_mark(before, now))
 
     def _since_mark(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
-        return estimate_relative_motion(before, now, self.camera, self.tracker.n_at_mark)
+        return estimate_relative_motion(before, now, self.camera, self.tracker.n_at_mark, self.solver)
 
-    def _accumulate(self) -> None:
-        motion = self._since_mark(*self.tracker.pairs())
-        if motion.R_prev_next is None:
-            self._broken = True
-        else:
-            self._accumulated = self._accumulated @ motion.R_prev_next
-            self._n_accumulated += 1
-            self._accumulated_variance += motion.rotation_sigma_rad**2
+    def _renew_corners(self) -> None:
+        self._parts.append(self._since_mark(*self.tracker.pairs()))
         self.tracker.mark()
 
-    def _chain(self, last: RelativeMotion) -> RelativeMotion:
-        if self._broken or last.R_prev_next is None:
-            status = MotionStatus.LOST if self._broken else last.status
-            return RelativeMotion(status, n_tracks=last.n_tracks, n_inliers=last.n_inliers)
-        return RelativeMotion(
-            MotionStatus.LOW_PARALLAX,
-            self._accumulated @ last.R_prev_next,
-            None,
-            last.n_tracks,
-            last.n_inliers,
-            rotation_sigma_rad=float(np.sqrt(self._accumulated_variance + last.rotation_sigma_rad**2)),
-        )
+
+def _chain(parts: list[RelativeMotion], last: RelativeMotion) -> RelativeMotion:
+    """The rotation of all motions one after another; the last one where it is alone."""
+    if not parts:
+        return last
+    rotations = [part.R_prev_next for part in (*parts, last) if part.R_prev_next is not None]
+    if len(rotations) <= len(parts):
+        broken = any(not part.reliable for part in parts)
+        status = MotionStatus.LOST if broken else last.status
+        return RelativeMotion(status, n_tracks=last.n_tracks, n_inliers=last.n_inliers)
+    variance = sum(part.rotation_sigma_rad**2 for part in (*parts, last))
+    return RelativeMotion(
+        MotionStatus.LOW_PARALLAX,
+        reduce(np.matmul, rotations),
+        None,
+        last.n_tracks,
+        last.n_inliers,
+        rotation_sigma_rad=float(np.sqrt(variance)),
+    )
 
 
 class EssentialFrontEnd(FrontEnd):
@@ -142,10 +134,10 @@ class EssentialFrontEnd(FrontEnd):
 
     def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
         n = len(before)
-        if n < _FIVE:
+        if n < RELATIVE_POSE.essential_corners:
             return RelativeMotion(MotionStatus.TOO_FEW, n_tracks=n)
-        found = solve_opencv(undistort(before, self.camera), undistort(now, self.camera), self.camera)
-        if found is None:
+        view = solve_opencv(undistort(before, self.camera), undistort(now, self.camera), self.camera)
+        if view is None:
             return RelativeMotion(MotionStatus.INCONSISTENT, n_tracks=n)
-        n_inliers = int(found.inliers.sum())
-        return RelativeMotion(MotionStatus.OK, found.R_prev_next, found.direction_prev, n, n_inliers)
+        n_inliers = int(view.inliers.sum())
+        return RelativeMotion(MotionStatus.OK, view.R_prev_next, view.direction_prev, n, n_inliers)

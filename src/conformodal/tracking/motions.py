@@ -31,7 +31,8 @@ class MotionRecord:
     def submaps_of(self, frames: IntArray) -> list[Submap]:
         """Submaps of `frames` (m,), by their place among these."""
         places = {frame: k for k, frame in enumerate(frames.tolist())}
-        return [own for submap in self.submaps if (own := submap.renumbered(places)) is not None]
+        renumbered = (submap.renumbered(places) for submap in self.submaps)
+        return [submap for submap in renumbered if submap is not None]
 
 
 def measure_motions(
@@ -49,14 +50,14 @@ def measure_motions(
     """
     answer, times = set(frames.tolist()), sequence.timestamps_s
     front_end = front_end or MotionFrontEnd(sequence.camera)
-    found = MotionRecord({}, {})
+    record = MotionRecord({}, {})
     recording, before = None, 0  # the last frame that could be read
     corners: dict[int, Corners] = {}
     span = range(int(frames.min()), int(frames.max()) + 1) if frames.size else range(0)
     for done, i in enumerate(span, start=1):
         go_on()
         if sequence.recording[i] != recording:
-            _add_submaps(found, corners, sequence)
+            _append_submaps(record, corners, sequence)
             corners = {}
             front_end.reset()
             recording = sequence.recording[i]
@@ -64,24 +65,24 @@ def measure_motions(
             image = sequence.image(i)
         except ImageError as exc:
             if i in answer:
-                found.unreadable[i] = str(exc)
+                record.unreadable[i] = str(exc)
             continue
         if i in answer:
-            found.motions[i] = front_end.measure(image)
+            record.motions[i] = front_end.measure(image)
             if local:
                 corners[i] = front_end.corners
                 flow = affine_flow(front_end.tracker.step, float(times[i] - times[before]), sequence.camera)
-                found.local_features[i] = extract_local_features(image, sequence.camera)._replace(flow=flow)
+                record.local_features[i] = extract_local_features(image, sequence.camera)._replace(flow=flow)
         else:
             front_end.track_only(image)
         before = i
         if progress is not None:
             progress("motion", done, len(span))
-    _add_submaps(found, corners, sequence)
-    return found
+    _append_submaps(record, corners, sequence)
+    return record
 
 
-def _add_submaps(found: MotionRecord, corners: dict[int, Corners], sequence: Recording) -> None:
+def _append_submaps(record: MotionRecord, corners: dict[int, Corners], sequence: Recording) -> None:
     frames = dict(enumerate(corners))
     submaps = (submap.renumbered(frames) for submap in build_submaps(list(corners.values()), sequence.camera))
-    found.submaps.extend(submap for submap in submaps if submap is not None)
+    record.submaps.extend(submap for submap in submaps if submap is not None)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,7 +14,7 @@ from conformodal.geometry.undistortion import undistort
 
 from .settings import RELATIVE_POSE
 from .spreads import image_cells, motion_spreads, turning_spread
-from .two_view import TwoViewSolver, solve_poselib
+from .two_view import CameraMotion, TwoViewSolver, invert_pose, solve_poselib
 
 
 def estimate_relative_motion(
@@ -43,103 +45,111 @@ def estimate_relative_motion(
             rotation_sigma_rad=RELATIVE_POSE.repeated_flow_px * pixel,
         )
 
-    rays = camera.bearings(pixels_prev), camera.bearings(pixels_next)
-    turning = _turning_alone(*rays, image_cells(pixels_prev, camera), pixel)
-    return turning or _moving(pixels_prev, pixels_next, *rays, camera, solver)
+    pairs = _Pairs(pixels_prev, pixels_next, camera.bearings(pixels_prev), camera.bearings(pixels_next))
+    cells = image_cells(pixels_prev, camera)
+    return _pure_rotation(pairs, cells, pixel) or _two_view_motion(pairs, cells, pixel, camera, solver)
 
 
-def _turning_alone(
-    rays_prev: FloatArray, rays_next: FloatArray, cells: IntArray, pixel: float
-) -> RelativeMotion | None:
+class _Pairs(NamedTuple):
+    """The same corners in two frames: pixels (n, 2) without distortion, and unit rays (n, 3)."""
+
+    pixels_prev: FloatArray
+    pixels_next: FloatArray
+    rays_prev: FloatArray
+    rays_next: FloatArray
+
+    def take(self, rows: BoolArray) -> _Pairs:
+        return _Pairs(*(part[rows] for part in self))
+
+    def parallax(self, R_prev_next: FloatArray) -> float:
+        """Median angle by which corners moved beyond what a rotation explains."""
+        return float(np.median(_angles(self.rays_prev, self.rays_next @ R_prev_next.T)))
+
+
+def _pure_rotation(pairs: _Pairs, cells: IntArray, pixel: float) -> RelativeMotion | None:
     """The motion if a rotation alone explains the pair, which leaves the direction undetermined; or None."""
-    rotation, inliers = _rotation_only(rays_prev, rays_next, RELATIVE_POSE.min_parallax_px * pixel)
+    rotation, inliers = _fit_rotation(pairs, RELATIVE_POSE.min_parallax_px * pixel)
     if inliers.mean() < RELATIVE_POSE.turning_share:
         return None
+    used = pairs.take(inliers)
     return RelativeMotion(
         MotionStatus.LOW_PARALLAX,
         rotation,
         None,
-        len(rays_prev),
+        len(inliers),
         int(inliers.sum()),
-        parallax_rad=float(np.median(_angles(rays_prev, rays_next @ rotation.T))),
-        rotation_sigma_rad=turning_spread(rays_prev[inliers], rays_next[inliers], rotation, cells[inliers], pixel),
+        parallax_rad=pairs.parallax(rotation),
+        rotation_sigma_rad=turning_spread(used.rays_prev, used.rays_next, rotation, cells[inliers], pixel),
     )
 
 
-def _moving(
-    pixels_prev: FloatArray,
-    pixels_next: FloatArray,
-    rays_prev: FloatArray,
-    rays_next: FloatArray,
-    camera: PinholeCamera,
-    solver: TwoViewSolver,
+def _two_view_motion(
+    pairs: _Pairs, cells: IntArray, pixel: float, camera: PinholeCamera, solver: TwoViewSolver
 ) -> RelativeMotion:
-    """The motion by two-view geometry, of pixels without distortion."""
-    n, pixel, found = len(pixels_prev), 2.0 / (camera.fx + camera.fy), solver(pixels_prev, pixels_next, camera)
-    least, share = RELATIVE_POSE.min_tracks, RELATIVE_POSE.min_inlier_share
-    if found is None or found.inliers.sum() < least or found.inliers.mean() < share:
-        n_inliers = 0 if found is None else int(found.inliers.sum())
+    n, view = len(cells), solver(pairs.pixels_prev, pairs.pixels_next, camera)
+    n_inliers = 0 if view is None else int(view.inliers.sum())
+    if view is None or n_inliers < max(RELATIVE_POSE.min_tracks, RELATIVE_POSE.min_inlier_share * n):
         return RelativeMotion(MotionStatus.INCONSISTENT, n_tracks=n, n_inliers=n_inliers)
-    R_prev_next, direction, inliers = found
-    parallax = float(np.median(_angles(rays_prev[inliers], rays_next[inliers] @ R_prev_next.T)))
-    enough = parallax >= RELATIVE_POSE.min_parallax_px * pixel
-    status = MotionStatus.OK if enough else MotionStatus.LOW_PARALLAX
-    cells = image_cells(pixels_prev[inliers], camera)
-    rotation_sigma, direction_sigma = motion_spreads(
-        rays_prev[inliers], rays_next[inliers], R_prev_next, direction, cells, pixel
-    )
-    if enough:
-        ways = plane_motions(pixels_prev[inliers], pixels_next[inliers], camera, RELATIVE_POSE.epipolar_px)
-        if len(ways) > 1 and _angles(ways[0][1][None], ways[1][1][None])[0] > RELATIVE_POSE.plane_ambiguity_rad:
+    R_prev_next, direction, inliers = view
+    used = pairs.take(inliers)
+    parallax = used.parallax(R_prev_next)
+    spread = motion_spreads(used.rays_prev, used.rays_next, R_prev_next, direction, cells[inliers], pixel)
+    status, rotation_sigma = MotionStatus.OK, spread.rotation
+    if parallax < RELATIVE_POSE.min_parallax_px * pixel:
+        status = MotionStatus.LOW_PARALLAX
+    else:
+        ways = plane_motions(used.pixels_prev, used.pixels_next, camera, RELATIVE_POSE.epipolar_px)
+        directions = np.array([way.direction_prev for way in ways[:2]])
+        if len(ways) > 1 and _angles(directions[:1], directions[1:])[0] > RELATIVE_POSE.plane_ambiguity_rad:
             # the rotation is one of two as well: as uncertain as they differ
-            apart = Rotation.from_matrix(ways[0][0].T @ ways[1][0]).magnitude()
-            status, enough, rotation_sigma = MotionStatus.PLANE, False, float(np.hypot(rotation_sigma, apart))
+            apart = Rotation.from_matrix(ways[0].R_prev_next.T @ ways[1].R_prev_next).magnitude()
+            status, rotation_sigma = MotionStatus.PLANE, float(np.hypot(rotation_sigma, apart))
+    ok = status is MotionStatus.OK
     return RelativeMotion(
         status,
         R_prev_next,
-        direction if enough else None,
+        direction if ok else None,
         n,
-        int(inliers.sum()),
+        n_inliers,
         parallax,
         rotation_sigma,
-        direction_sigma if enough else np.inf,
+        spread.direction if ok else np.inf,
     )
 
 
 def plane_motions(
     pixels_prev: FloatArray, pixels_next: FloatArray, camera: PinholeCamera, tolerance_px: float
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Motions ``(R_prev_next, direction_prev)`` that explain corners (n, 2) on one plane: one or two, or none.
+) -> list[CameraMotion]:
+    """Motions that explain corners (n, 2) on one plane: one or two, or none.
 
     Faugeras and Lustman (1988). Empty if the corners do not lie on a plane within `tolerance_px`.
     """
     homography, _ = cv2.findHomography(pixels_prev, pixels_next, 0)
     if homography is None:
         return []
-    led = np.column_stack((pixels_prev, np.ones(len(pixels_prev)))) @ homography.T
+    mapped = np.column_stack((pixels_prev, np.ones(len(pixels_prev)))) @ homography.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        off = np.linalg.norm(led[:, :2] / led[:, 2:] - pixels_next, axis=1)
+        off = np.linalg.norm(mapped[:, :2] / mapped[:, 2:] - pixels_next, axis=1)
     if not np.mean(off <= tolerance_px) >= RELATIVE_POSE.plane_share:
         return []
     _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, camera.matrix)
     rays = camera.bearings(pixels_prev)
-    found: list[tuple[FloatArray, FloatArray]] = []
-    for R_next_prev, t, normal in zip(rotations, translations, normals, strict=True):
-        length = float(np.linalg.norm(t))
-        if length > 1e-9 and (rays @ normal[:, 0] > RELATIVE_POSE.behind).all():
-            R_prev_next = np.asarray(R_next_prev, dtype=np.float64).T
-            found.append((R_prev_next, -R_prev_next @ t[:, 0] / length))
-    return found
+    motions = [
+        invert_pose(R_next_prev, t)
+        for R_next_prev, t, normal in zip(rotations, translations, normals, strict=True)
+        if (rays @ normal[:, 0] > RELATIVE_POSE.behind).all()
+    ]
+    return [motion for motion in motions if motion is not None]
 
 
-def _rotation_only(rays_prev: FloatArray, rays_next: FloatArray, tolerance_rad: float) -> tuple[FloatArray, BoolArray]:
-    """Rotation with ``rays_prev = R rays_next`` on most rays: trimmed least squares, started from all of them."""
-    keep = np.ones(len(rays_prev), dtype=bool)
+def _fit_rotation(pairs: _Pairs, tolerance_rad: float) -> tuple[FloatArray, BoolArray]:
+    """Rotation with ``rays_prev = R rays_next`` on most rays, and these: trimmed least squares, from all of them."""
+    keep = np.ones(len(pairs.rays_prev), dtype=bool)
     matrix = np.eye(3)
-    for _ in range(5):
-        rotation, _ = Rotation.align_vectors(rays_prev[keep], rays_next[keep])
+    for _ in range(RELATIVE_POSE.rotation_rounds):
+        rotation, _ = Rotation.align_vectors(pairs.rays_prev[keep], pairs.rays_next[keep])
         matrix = np.asarray(rotation.as_matrix())
-        error = _angles(rays_prev, rays_next @ matrix.T)
+        error = _angles(pairs.rays_prev, pairs.rays_next @ matrix.T)
         keep = error <= max(tolerance_rad, 2.0 * float(np.median(error)))
     return matrix, error <= tolerance_rad
 

@@ -38,9 +38,11 @@ class _RelativePoseSettings:
     """When a relative motion is measured, and how uncertain it is."""
 
     min_tracks: int = 16  # tracked corners
+    essential_corners: int = 5  # that an essential matrix needs
     min_inlier_share: float = 0.5
     repeated_flow_px: float = 0.05  # median displacement below which the picture is repeated or the camera at rest
     plane_ambiguity_rad: float = float(np.radians(5.0))  # between the two directions that a plane allows
+    rotation_rounds: int = 5  # of the trimmed fit of a rotation
     turning_share: float = 0.9  # of the corners that a rotation alone must explain to be the answer
     min_parallax_px: float = 1.0  # below this, parallax is lost in tracking errors
     plane_share: float = 0.97  # of the corners that one plane must explain

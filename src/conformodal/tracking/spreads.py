@@ -7,6 +7,8 @@ Zeger 1986), times a factor measured in ``benchmarks/relative_motion.py``.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
@@ -23,6 +25,13 @@ def image_cells(pixels: FloatArray, camera: PinholeCamera) -> IntArray:
     return (column * MOTION_ERRORS.rows + row).astype(np.int64)
 
 
+class MotionSpread(NamedTuple):
+    """Standard deviations (radians) of a rotation about each axis, and of a direction along each orthogonal axis."""
+
+    rotation: float
+    direction: float
+
+
 def motion_spreads(
     rays_prev: FloatArray,
     rays_next: FloatArray,
@@ -30,11 +39,8 @@ def motion_spreads(
     direction_prev: FloatArray,
     cells: IntArray,
     pixel_rad: float,
-) -> tuple[float, float]:
-    """Standard deviations (radians) of a rotation about each axis and of a direction along each orthogonal axis.
-
-    From unit rays (n, 3) of the inliers and their cells (n,) from :func:`image_cells`; ``inf`` where undetermined.
-    """
+) -> MotionSpread:
+    """From unit rays (n, 3) of the inliers and their cells (n,) from :func:`image_cells`; ``inf`` if undetermined."""
     turned = rays_next @ R_prev_next.T
     normal, other = np.cross(direction_prev, turned), np.cross(direction_prev, rays_prev)
     size = np.sqrt((normal**2).sum(axis=1) + (other**2).sum(axis=1))
@@ -47,8 +53,9 @@ def motion_spreads(
     sigma = max(float(np.median(np.abs(residual))) / MAD_OF_NORMAL, MOTION_ERRORS.least_residual_px * pixel_rad)
     covariance = _clustered(jacobian[:, None], cells, sigma)
     rotation, direction = np.trace(covariance[:3, :3]) / 3, np.trace(covariance[3:, 3:]) / 2
-    return MOTION_ERRORS.rotation_factor * float(np.sqrt(rotation)), MOTION_ERRORS.direction_factor * float(
-        np.sqrt(direction)
+    return MotionSpread(
+        MOTION_ERRORS.rotation_factor * float(np.sqrt(rotation)),
+        MOTION_ERRORS.direction_factor * float(np.sqrt(direction)),
     )
 
 

@@ -63,15 +63,15 @@ class CornerTracker:
             return
         options: dict[str, Any] = {"winSize": (TRACKER.window_px, TRACKER.window_px), "criteria": _UNTIL}
         start = self._now[:, None]
-        there, found, _ = cv2.calcOpticalFlowPyrLK(
+        there, tracked, _ = cv2.calcOpticalFlowPyrLK(
             previous, image, start, start.copy(), maxLevel=TRACKER.levels, **options
         )
-        # tracking back may start at its end: a stable corner is found again there, a false one is not
+        # tracking back may start at its end: a stable corner comes back there, a false one does not
         options |= {"maxLevel": TRACKER.back_levels, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
-        back, found_back, _ = cv2.calcOpticalFlowPyrLK(image, previous, there, start.copy(), **options)
+        back, tracked_back, _ = cv2.calcOpticalFlowPyrLK(image, previous, there, start.copy(), **options)
         there, back = there[:, 0], back[:, 0]
         height, width = image.shape
-        alive = (found[:, 0] == 1) & (found_back[:, 0] == 1)
+        alive = (tracked[:, 0] == 1) & (tracked_back[:, 0] == 1)
         alive &= np.linalg.norm(back - self._now, axis=1) <= TRACKER.max_back_error_px
         alive &= (there >= 0).all(axis=1) & (there <= (width - 1, height - 1)).all(axis=1)
         self.step = self._now[alive], there[alive]
