@@ -10,9 +10,9 @@ from PIL import Image
 from conformodal.geometry import MotionStatus, RelativeMotion, Trajectory
 from conformodal.io import read_sevenscenes
 from conformodal.io.streams.frames import Frame
-from conformodal.localizer.orientations import smooth_orientations
 from conformodal.localizer.prior import fit_motion_prior
 from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.smoother import smooth_orientations
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.results.writer import ResultsWriter

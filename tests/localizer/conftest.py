@@ -10,8 +10,7 @@ import pytest
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import PinholeCamera, Trajectory, normalise_quat
 from conformodal.io import Recording
-from conformodal.localizer.sources.registry import SourceAnswer, SourceState
-from conformodal.localizer.sources.source_data import SourceData
+from conformodal.localizer.sources.registry import SourceAnswer, SourceData, SourceState
 
 THUMBNAIL = 768
 CAMERA = PinholeCamera(500, 500, 320, 240, 640, 480)

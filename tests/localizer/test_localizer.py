@@ -66,15 +66,15 @@ def test_there_is_a_source_and_all_have_different_names(bins):
 def test_names_that_are_unknown_or_there_twice_are_refused(data_of):
     data, frames = data_of(30), np.arange(20)
     with pytest.raises(LocalizationError, match=r"one of head, .*told.*got 'nobody'"):
-        Localizer.fit(data, frames, ("told", "nobody"))
+        Localizer.fit_each(data, [frames], ("told", "nobody"))[0]
     with pytest.raises(LocalizationError, match="different names"):
-        Localizer.fit(data, frames, ("told", "told"))
+        Localizer.fit_each(data, [frames], ("told", "told"))[0]
 
 
 @pytest.mark.usefixtures("known")
 def test_a_source_that_the_frames_do_not_allow_is_left_out(data_of):
     data, frames = data_of(30), np.arange(5, 25)
-    found = Localizer.fit(data, frames, ("unable", "other", "told"))
+    found = Localizer.fit_each(data, [frames], ("unable", "other", "told"))[0]
     assert [source.name for source in found.sources] == ["other", "told"]  # in the order that was asked for
     for source in found.sources:
         np.testing.assert_array_equal(source.frames, frames)
@@ -82,7 +82,7 @@ def test_a_source_that_the_frames_do_not_allow_is_left_out(data_of):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(found.sign_reference, data.sign_reference)
     with pytest.raises(LocalizationError, match="at least one"):
-        Localizer.fit(data, frames, ("unable",))
+        Localizer.fit_each(data, [frames], ("unable",))[0]
 
 
 def test_without_a_softmax_the_training_frames_own_distribution_stands_in(bins):

@@ -8,9 +8,8 @@ from conformodal.geometry import Submap, Trajectory, angle_between_quats
 from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.errors import ReasoningError
 from conformodal.localizer.observations import Observations
-from conformodal.localizer.orientations import smooth_orientations
 from conformodal.localizer.prior import fit_motion_prior
-from conformodal.localizer.smoother import smooth_positions
+from conformodal.localizer.smoother import smooth_orientations, smooth_positions
 from tests.localizer.flights import PRIOR, ambiguous, exact_motions, path
 
 

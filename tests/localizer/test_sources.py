@@ -154,7 +154,7 @@ def test_a_source_of_ones_own_is_fitted_believed_saved_and_loaded(data_of, small
     monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))  # known in this test alone
     assert register_source(MeanSource) is MeanSource  # also a decorator
     data, frames = data_of(100), np.arange(80)
-    localizer = Localizer.fit(data, frames, ("head", MeanSource.name))
+    localizer = Localizer.fit_each(data, [frames], ("head", MeanSource.name))[0]
     evidence = FrameEvidence(data.features[80:])
     beliefs = localizer.beliefs(evidence)
     for mixture in beliefs.mixtures:

@@ -12,8 +12,6 @@ import numpy as np
 from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import FloatArray, IntArray, RealArray
 from conformodal.core.parallel import go_on, in_threads
-from conformodal.localizer.sources.registry import PoseSource, SourceAnswer, find_source
-from conformodal.localizer.sources.source_data import SourceData
 
 from .belief import Beliefs, belief_cells
 from .candidates import mode_candidates
@@ -21,6 +19,7 @@ from .errors import LocalizationError
 from .evidence import FrameEvidence
 from .fusion import fuse
 from .regions import Support
+from .sources.registry import PoseSource, SourceAnswer, SourceData, find_source
 
 Source = TypeVar("Source", bound=PoseSource)
 
@@ -41,45 +40,37 @@ class Localizer:
             raise LocalizationError(f"a localizer needs sources of different names, at least one, got {names}")
 
     @classmethod
-    def fit(cls, data: SourceData, frames: IntArray, names: Sequence[str], fitted: Sequence[PoseSource] = ()) -> Self:
-        """Fit the named sources on `frames` (m,) alone, see :meth:`fit_each`."""
-        return cls.fit_each(data, [frames], names, fitted)[0]
-
-    @classmethod
-    def fit_each(
-        cls, data: SourceData, parts: Sequence[IntArray], names: Sequence[str], fitted: Sequence[PoseSource] = ()
-    ) -> list[Self]:
+    def fit_each(cls, data: SourceData, parts: Sequence[IntArray], names: Sequence[str]) -> list[Self]:
         """A localizer for each part (m,) of the frames, which learns from it alone.
 
-        A source that cannot be fitted is left out. One among `fitted` that learnt from exactly these frames is reused:
-        the caller knows that fitting it again would give the same. Sources learn in threads. One that uses local
-        features, which takes longest, learns several parts at once, the last part (by default all frames, whose matches
-        the others share) before; others learn part after part: networks share random numbers.
+        A source that cannot be fitted is left out. Sources learn in threads. One that uses local features, which takes
+        longest, learns several parts at once, the last part (by default all frames, whose matches the others share)
+        before; others learn part after part: networks share random numbers.
         """
+        kinds = [find_source(name) for name in names]
 
-        def told(stage: str, done: int, total: int) -> None:
+        def report(stage: str, done: int, total: int) -> None:
             go_on()
             if data.progress is not None:
                 data.progress(stage, done, total)
 
-        def fit(job: tuple[str, list[int]]) -> list[PoseSource | None]:
-            name, which = job
-            found = []
-            for frames in (parts[k] for k in which):
+        def fit(job: tuple[type[PoseSource], list[int]]) -> list[PoseSource | None]:
+            kind, numbers = job
+            sources = []
+            for k in numbers:
                 go_on()
-                same = [s for s in fitted if s.name == name and np.array_equal(s.frames, frames)]
-                found.append(same[-1] if same else find_source(name).fit(replace(data, progress=told), frames))
-            return found
+                sources.append(kind.fit(replace(data, progress=report), parts[k]))
+            return sources
 
-        each, local = list(range(len(parts))), [name for name in names if find_source(name).local]
-        jobs = [(name, each[-1:]) for name in local] + [(name, each) for name in names if name not in local]
-        jobs += [(name, [k]) for k in each[:-1] for name in local]
-        found = {}
-        for (name, which), its in zip(jobs, in_threads(fit, jobs), strict=True):
-            found.update({(name, k): source for k, source in zip(which, its, strict=True)})
+        every, local = list(range(len(parts))), [kind for kind in kinds if kind.local]
+        jobs = [(kind, every[-1:]) for kind in local] + [(kind, every) for kind in kinds if not kind.local]
+        jobs += [(kind, [k]) for k in every[:-1] for kind in local]
+        fitted: dict[tuple[type[PoseSource], int], PoseSource | None] = {}
+        for (kind, numbers), sources in zip(jobs, in_threads(fit, jobs), strict=True):
+            fitted.update({(kind, k): source for k, source in zip(numbers, sources, strict=True)})
         return [
             cls(
-                tuple(source for name in names if (source := found[name, k]) is not None),
+                tuple(source for kind in kinds if (source := fitted[kind, k]) is not None),
                 data.bins_of(frames),
                 data.sign_reference,
             )
@@ -88,7 +79,7 @@ class Localizer:
 
     @property
     def frames(self) -> IntArray:
-        """Frames of the training data that at least one source has seen, increasing."""
+        """Frames of the training data that at least one source has learnt from, increasing."""
         return np.unique(np.concatenate([source.frames for source in self.sources]))
 
     @property
@@ -108,12 +99,13 @@ class Localizer:
     def beliefs(self, evidence: FrameEvidence) -> Beliefs:
         """Beliefs about the poses of n images."""
         answers = [source.answer(evidence) for source in self.sources]
-        proba = self._density(answers, len(evidence))
+        proba, mixtures, estimates = self._density(answers, len(evidence)), [], []
         measured = [answer.measurements for answer in answers if answer.measurements]
-        modes = mode_candidates(proba, self.bins)
-        mixtures = [fuse(own, [its[i] for its in measured]) for i, own in enumerate(modes)]
         local = [a.measurements for a, s in zip(answers, self.sources, strict=True) if s.local and a.measurements]
-        return Beliefs(proba, mixtures, [[one for its in local for one in its[i]] for i in range(len(evidence))])
+        for i, modes in enumerate(mode_candidates(proba, self.bins)):
+            mixtures.append(fuse(modes, [measurements[i] for measurements in measured]))
+            estimates.append([estimate for measurements in local for estimate in measurements[i]])
+        return Beliefs(proba, mixtures, estimates)
 
     def marginals(self, beliefs: Beliefs) -> list[FloatArray]:
         """Seven arrays (n, cells), see :meth:`Beliefs.marginals`."""
@@ -131,9 +123,7 @@ class Localizer:
 
     def _density(self, answers: Sequence[SourceAnswer], n: int) -> list[RealArray]:
         """The mean of the sources' softmaxes; the distribution of the training frames where no source has one."""
-        given = [answer.proba for answer in answers if answer.proba is not None]
-        if not given:
+        blocks = [answer.proba for answer in answers if answer.proba is not None]
+        if not blocks:
             return [np.full((n, k), 1 / k) for k in self.bins.sizes]
-        if len(given) == 1:
-            return given[0]
-        return [np.mean(blocks, axis=0) for blocks in zip(*given, strict=True)]
+        return blocks[0] if len(blocks) == 1 else [np.mean(columns, axis=0) for columns in zip(*blocks, strict=True)]

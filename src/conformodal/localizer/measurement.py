@@ -1,10 +1,16 @@
-"""Absolute pose estimates of an image, each with its standard deviations and inlier probability."""
+"""Absolute pose estimates, and the sizes of their errors and outlier rates, learnt from frames that were held out."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
-from conformodal.core.arrays import FloatArray
+import numpy as np
+
+from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.geometry.robust import MEDIAN_OF_NORM3, TAIL_OF_NORM3
+
+from .settings import ERROR_MODEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,3 +45,107 @@ class PoseMeasurement:
     inlier_share: float = 1.0
     image_share: float = 1.0
     distance_to_known: float = 0.0
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Standard deviations and inlier probabilities of a source's estimates.
+
+    The standard deviation in metres is ``position * sigma_m**position_growth * distance**position_distance``, with the
+    predicted sigma and the distance from the nearest known frame; that in radians likewise. The log odds of an inlier
+    are ``log_odds + slopes @ log(support)``.
+    """
+
+    position: float
+    position_growth: float
+    position_distance: float
+    rotation: float
+    rotation_growth: float
+    rotation_distance: float
+    log_odds: float
+    slopes: tuple[float, ...]
+
+    def apply(self, estimate: PoseMeasurement, *support: float) -> PoseMeasurement:
+        """The estimate with calibrated standard deviations and inlier probability, in place of the predicted ones."""
+        odds = self.log_odds + float(np.dot(self.slopes, np.log(support)))
+        away = max(estimate.distance_to_known, ERROR_MODEL.least_distance)
+        return replace(
+            estimate,
+            sigma_m=self.position * estimate.sigma_m**self.position_growth * away**self.position_distance,
+            sigma_rad=self.rotation * estimate.sigma_rad**self.rotation_growth * away**self.rotation_distance,
+            inlier_probability=float(1 / (1 + np.exp(-odds))),
+        )
+
+    @classmethod
+    def from_json(cls, record: dict[str, Any]) -> Self:
+        """The model from its fields, as JSON stores them."""
+        return cls(**{**record, "slopes": tuple(record["slopes"])})
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOutErrors:
+    """Errors (m,) of estimates of held-out frames, with what was predicted of them."""
+
+    error_m: FloatArray
+    sigma_m: FloatArray
+    error_rad: FloatArray
+    sigma_rad: FloatArray
+    distance: FloatArray  # (m,) from the nearest known frame, scene depths plus radians; 0 where not measured
+    support: FloatArray  # (m, e) positive numbers that grow with the probability of an inlier
+    weights: FloatArray  # (m,) in learning that probability
+
+
+def fit_error_model(errors: HeldOutErrors, same_place_m: float) -> ErrorModel | None:
+    """Fit the model; None from fewer than twenty estimates near the truth.
+
+    An estimate more than `same_place_m` off is of another place: an outlier, not an error of measurement.
+    """
+    near = (errors.error_m < same_place_m) & (errors.error_rad < ERROR_MODEL.same_orientation_rad)
+    if near.sum() < ERROR_MODEL.least_estimates:
+        return None
+    distance = np.maximum(errors.distance, ERROR_MODEL.least_distance)
+    position = _power_law(errors.error_m[near], errors.sigma_m[near], distance[near])
+    rotation = _power_law(errors.error_rad[near], errors.sigma_rad[near], distance[near])
+    sigma = position[0] * errors.sigma_m ** position[1] * distance ** position[2]
+    inlier = near & (errors.error_m < ERROR_MODEL.outlier * sigma)
+    return ErrorModel(*position, *rotation, *_inlier_odds(np.log(errors.support), inlier, errors.weights))
+
+
+def _power_law(errors: FloatArray, sigmas: FloatArray, distance: FloatArray) -> tuple[float, float, float]:
+    """Factor, exponent of the predicted sigma, exponent of the distance, which is fitted first: it explains more."""
+    by_distance = _growth(errors, distance)
+    left = errors / distance**by_distance
+    growth = _growth(left, sigmas)
+    left = left / sigmas**growth
+    factor = max(float(np.median(left)) / MEDIAN_OF_NORM3, float(np.quantile(left, 0.95)) / TAIL_OF_NORM3, 1e-6)
+    return factor, growth, by_distance
+
+
+def _growth(errors: FloatArray, cause: FloatArray) -> float:
+    """Exponent, 0 to 2, with which errors (n,) grow with a cause (n,): the median slope of the logarithms."""
+    there = (errors > 0) & (cause > 0)
+    x, y = np.log(cause[there]), np.log(errors[there])
+    if len(x) < 2 or np.ptp(x) == 0:
+        return 0.0
+    from scipy.stats import theilslopes  # noqa: PLC0415 - half a second to import; only learning needs it
+
+    return float(np.clip(theilslopes(y, x)[0], 0, ERROR_MODEL.max_growth))
+
+
+def _inlier_odds(log_support: FloatArray, inlier: BoolArray, weights: FloatArray) -> tuple[float, tuple[float, ...]]:
+    """Offset and slopes of the log odds; one inlier and one outlier are added, so that no probability is 0 or 1."""
+    middle = np.median(log_support, axis=0)
+    x = np.concatenate((log_support, [middle, middle]))
+    from sklearn.linear_model import LogisticRegression  # noqa: PLC0415 - a second to import; only learning needs it
+
+    inlier, weights = np.concatenate((inlier, [True, False])), np.concatenate((weights, [1.0, 1.0]))
+    used = list(range(x.shape[1]))
+    while used:
+        found = LogisticRegression().fit(x[:, used], inlier, sample_weight=weights)
+        if (found.coef_[0] >= 0).all():
+            slopes = np.zeros(x.shape[1])
+            slopes[used] = found.coef_[0]
+            return float(found.intercept_[0]), tuple(slopes.tolist())
+        # support never lowers the probability of an inlier: a negative slope comes from too few outliers
+        used.pop(int(np.argmin(found.coef_[0])))
+    return float(np.log(weights[inlier].sum() / weights[~inlier].sum())), (0.0,) * x.shape[1]

@@ -34,7 +34,7 @@ from conformodal.localizer.prior import MotionPrior
 from conformodal.localizer.region_rules import EvidenceType, RegionRules, part_of
 from conformodal.localizer.regions import pose_scores
 from conformodal.localizer.settings import FILTER
-from conformodal.localizer.sources.source_data import SourceData
+from conformodal.localizer.sources.registry import SourceData
 from conformodal.tracking.flow import frame_features
 
 from .comparison import SourceComparison

@@ -11,7 +11,7 @@ from conformodal.features.backbone import Backbone
 from conformodal.features.extract import FeatureCache
 from conformodal.features.projection import Projection
 from conformodal.io import Recording, Split
-from conformodal.localizer.sources.source_data import SourceData
+from conformodal.localizer.sources.registry import SourceData
 
 from .config import ModelConfig
 from .depths import measure_depths

@@ -13,8 +13,7 @@ from conformodal.io import Recording
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.settings import MAPPING
 from conformodal.localizer.sources.landmarks import LandmarkSource
-from conformodal.localizer.sources.registry import SourceState
-from conformodal.localizer.sources.source_data import SourceData
+from conformodal.localizer.sources.registry import SourceData, SourceState
 
 N = 60
 FRAMES = np.flatnonzero(np.arange(N) % 4 != 1)
@@ -31,7 +30,7 @@ def looked_at(world, monkeypatch):
     asked, features = [], world.local_features()
     monkeypatch.setattr(Recording, "image", lambda self, i: i)
     monkeypatch.setattr(
-        "conformodal.localizer.sources.source_data.frame_features", lambda sequence, i: asked.append(i) or features[i]
+        "conformodal.localizer.sources.registry.frame_features", lambda sequence, i: asked.append(i) or features[i]
     )
     # errors learnt from fewer frames: a third of the time
     monkeypatch.setattr("conformodal.localizer.sources.landmarks.MAPPING", replace(MAPPING, left_out=15))

@@ -10,7 +10,7 @@ from conformodal.geometry import Trajectory, sign_reference
 from conformodal.io import make_split
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.localizer.sources.landmarks import LandmarkSource
-from conformodal.localizer.sources.source_data import SourceData
+from conformodal.localizer.sources.registry import SourceData
 from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.calibrate import score_beliefs
 from conformodal.pipeline.config import ModelConfig

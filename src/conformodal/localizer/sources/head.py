@@ -13,8 +13,7 @@ from conformodal.core.progress import stage_of
 from conformodal.features.head import SoftmaxHead
 from conformodal.localizer.evidence import FrameEvidence
 
-from .registry import SourceAnswer, SourceState, register_source
-from .source_data import SourceData
+from .registry import SourceAnswer, SourceData, SourceState, register_source
 
 
 @register_source

@@ -50,7 +50,7 @@ class LandmarkMap:
         """Absolute pose estimates of an image: one PnP hypothesis for each of the similar retrieval clusters.
 
         Standard deviations come from the reprojection residuals and the scatter of the corrections, up to a factor that
-        :class:`~conformodal.localizer.error_model.ErrorModel` learns. Keyframes in `hidden` (n,) are left out.
+        :class:`~conformodal.localizer.measurement.ErrorModel` learns. Keyframes in `hidden` (n,) are left out.
         `matches` caches those of the image by keyframe.
         """
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)

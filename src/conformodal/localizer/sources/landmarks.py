@@ -14,15 +14,13 @@ from conformodal.core.progress import Progress, stage_of
 from conformodal.features.backbone import global_descriptors
 from conformodal.features.local import LocalFeatures, Matcher
 from conformodal.geometry import PinholeCamera, Trajectory, angle_between_quats
-from conformodal.localizer.error_model import ErrorModel, HeldOutErrors, fit_error_model
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.measurement import PoseMeasurement
+from conformodal.localizer.measurement import ErrorModel, HeldOutErrors, PoseMeasurement, fit_error_model
 from conformodal.localizer.settings import ERROR_MODEL, MAPPING, PNP
 
 from .keyframes import LandmarkMap
 from .mapping import build_map, view_overlap
-from .registry import SourceAnswer, SourceState, register_source
-from .source_data import SourceData
+from .registry import SourceAnswer, SourceData, SourceState, register_source
 
 _MAPPED = ("T_pose_cam", "shutter", "poses_se3", "global_descriptors", "starts", "points_xyz")
 _ARRAYS = (*_MAPPED, "descriptors", "corrections")
