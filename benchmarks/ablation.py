@@ -57,7 +57,7 @@ from conformodal.pipeline.config import Calibration, ModelConfig
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.paper import odometry_of
-from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 

@@ -23,7 +23,7 @@ from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
 from conformodal.localizer.observations import Observations, PosePath
 from conformodal.localizer.places import choose_places
 from conformodal.localizer.prior import MotionPrior
-from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.provenance import provenance
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("CONFORMODAL_DATA", ROOT.parent / "shared" / "data"))

@@ -47,7 +47,7 @@ from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import Calibration, ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.model import PoseModel
-from conformodal.pipeline.results.provenance import provenance
+from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.train import prepare_training_data, train_model
 
 KNOWN_SHARE = 0.6

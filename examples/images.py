@@ -12,8 +12,7 @@ from conformodal.corridor.writer import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.pipeline.config import ModelConfig
-from conformodal.pipeline.evaluate import coverage_table, error_table
-from conformodal.pipeline.results.statistics import RegionStatistics
+from conformodal.pipeline.evaluate import RegionStatistics, coverage_table, error_table
 from conformodal.pipeline.store import save_model
 from conformodal.pipeline.train import prepare_training_data
 from conformodal.report.figures import plan_figure

@@ -30,8 +30,8 @@ from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.errors import ResultsError
 from conformodal.pipeline.identity import data_digest
 from conformodal.pipeline.paper import odometry_of
-from conformodal.pipeline.results.provenance import provenance
-from conformodal.pipeline.results.runs import read_metrics, write_metrics, write_run
+from conformodal.pipeline.provenance import provenance
+from conformodal.pipeline.results import read_metrics, write_metrics, write_run
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 from conformodal.tracking.tracker import CornerTracker

@@ -26,8 +26,8 @@ from conformodal.features.settings import TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
 from conformodal.pipeline.config import Method
 from conformodal.pipeline.identity import data_digest
-from conformodal.pipeline.results.provenance import provenance
-from conformodal.pipeline.results.runs import write_metrics
+from conformodal.pipeline.provenance import provenance
+from conformodal.pipeline.results import write_metrics
 
 from .baselines import BASELINES
 from .conditions import NETWORKS, Row, TrainingTask, rows_of, tasks_of

@@ -30,8 +30,8 @@ from conformodal.pipeline.evaluate import error_table
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.plain import PlainRegressor, train_plain, trajectory_of
-from conformodal.pipeline.results.provenance import provenance
-from conformodal.pipeline.results.runs import write_metrics, write_run
+from conformodal.pipeline.provenance import provenance
+from conformodal.pipeline.results import write_metrics, write_run
 from conformodal.pipeline.stream import as_trajectory, whole_paths
 from conformodal.pipeline.train import prepare_training_data, train_model
 from conformodal.pipeline.training_data import TrainingData

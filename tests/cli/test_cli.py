@@ -14,7 +14,7 @@ from conformodal.cli.main import COMMANDS, app
 from conformodal.geometry import Trajectory
 from conformodal.io import read_recording
 from conformodal.io.pose_files import read_tum, write_tum
-from conformodal.pipeline.results.records import read_region_records
+from conformodal.pipeline.results import read_region_records
 from conformodal.pipeline.store import load_model
 from tests.helpers import fly, invoke, refusal, run_ok
 

@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 from conformodal.cli import demo
 from conformodal.cli.main import app
 from conformodal.io.pose_files import read_tum
-from conformodal.pipeline.results.records import read_region_records
-from conformodal.pipeline.results.runs import read_trajectories
+from conformodal.pipeline.results import read_region_records, read_trajectories
 from tests.helpers import refusal, run_ok
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from conformodal.io import read_recording
 from conformodal.io.pose_files import read_tum
-from conformodal.pipeline.results.runs import read_trajectories
+from conformodal.pipeline.results import read_trajectories
 from tests.helpers import invoke, refusal, run_ok
 
 

@@ -15,7 +15,7 @@ from conformodal.localizer.region_rules import EvidenceType
 from conformodal.localizer.smoother import smooth_orientations
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
-from conformodal.pipeline.results.writer import ResultsWriter
+from conformodal.pipeline.results import ResultsWriter
 from conformodal.pipeline.store import load_model
 from conformodal.pipeline.stream import StreamRunner
 

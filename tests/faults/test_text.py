@@ -11,9 +11,7 @@ import pytest
 from conformodal.cli.console import LOG, PlainConsole, plain, progress_bars
 from conformodal.core.files import write_whole
 from conformodal.geometry import Trajectory
-from conformodal.pipeline.results.parquet import write_region_parquet
-from conformodal.pipeline.results.records import read_region_records, region_record
-from conformodal.pipeline.results.writer import ResultsWriter
+from conformodal.pipeline.results import ResultsWriter, read_region_records, region_record, write_region_parquet
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.viewer import make_viewer
 from tests.helpers import invoke
@@ -91,7 +89,7 @@ def test_frames_of_any_name_are_stored_and_shown(name, tmp_path):
 def test_frames_of_any_name_go_into_parquet(name, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     run_of(name, tmp_path)
-    write_region_parquet(tmp_path)
+    write_region_parquet(tmp_path, records_of(name))
     found = parquet.read_table(tmp_path / "regions.parquet")["frame"].to_pylist()
     assert found == [f"{name}{i}".encode("utf-8", "backslashreplace").decode() for i in range(3)]
 

@@ -6,8 +6,7 @@ import pytest
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal, conformal_quantile, grouped_coverage_band
 from conformodal.localizer.region_rules import EvidenceType, RegionRules
-from conformodal.pipeline.evaluate import coverage_table
-from conformodal.pipeline.results.statistics import RegionStatistics
+from conformodal.pipeline.evaluate import RegionStatistics, coverage_table
 
 GLOBAL, UNMATCHED, LANDMARKS, UNKNOWN, DISTURBED = EvidenceType
 

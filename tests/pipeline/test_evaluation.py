@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from conformodal.pipeline.evaluate import coverage_by_size
-from conformodal.pipeline.results.statistics import RegionStatistics
+from conformodal.pipeline.evaluate import RegionStatistics, coverage_by_size
 
 
 def statistics(length, held, unbounded=()):

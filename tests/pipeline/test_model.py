@@ -18,8 +18,7 @@ from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import ModelConfig, config_of
 from conformodal.pipeline.errors import ModelFileError, OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
-from conformodal.pipeline.evaluate import coverage_table
-from conformodal.pipeline.results.statistics import RegionStatistics
+from conformodal.pipeline.evaluate import RegionStatistics, coverage_table
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 

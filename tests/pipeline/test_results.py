@@ -6,51 +6,46 @@ import numpy as np
 import pytest
 
 import conformodal
+from conformodal.conformal import ConformodalError
 from conformodal.geometry import Trajectory
 from conformodal.io.pose_files import read_tum
-from conformodal.io.pose_text import TrajectoryFileError
 from conformodal.pipeline.errors import ResultsError
-from conformodal.pipeline.results.provenance import provenance, source_revision
-from conformodal.pipeline.results.records import read_region_records, records_contain, records_hold
-from conformodal.pipeline.results.runs import read_metrics
+from conformodal.pipeline.provenance import provenance, source_revision
+from conformodal.pipeline.results import intervals_hold, read_metrics, read_region_records, records_hold
 
 
 def record(**parts):
     names = ("x", "y", "z", "q_w", "q_x", "q_y", "q_z")
-    return {"timestamp_s": 0.0, "intervals": {n: parts.get(n, [[None, None]]) for n in names}}
+    return {"timestamp_s": 0.0, "intervals": {n: parts.get(n, [[None, None]]) for n in names}, "places": None}
 
 
 def test_stored_intervals_hold_what_they_should():
     truth = Trajectory(np.zeros(1), np.array([[1.0, 2.0, 3.0]]), np.array([[-1.0, 0, 0, 0]]))
-    reference = np.array([1.0, 0, 0, 0])
     parts = record(x=[[0.0, 0.5], [0.9, 1.0]], y=[[2.1, 3.0]], z=[], q_w=[[0.9, 1.0]])
-    assert records_contain([parts], truth, reference).tolist() == [[True, False, False, True, True, True, True]]
+    held = intervals_hold([parts], truth, np.eye(4)[0])
+    assert held.tolist() == [[True, False, False, True, True, True, True]]
 
 
 def test_a_region_of_places_holds_a_pose_in_one_of_its_boxes():
-    truth = Trajectory(
-        np.arange(3.0), np.array([[0.5, 0, 0], [5.5, 0, 0], [0.5, 9, 0]]), np.tile([1.0, 0, 0, 0], (3, 1))
-    )
-    reference = np.array([1.0, 0, 0, 0])
+    places = np.array([[0.5, 0, 0], [5.5, 0, 0], [0.5, 9, 0]])
+    truth = Trajectory(np.arange(3.0), places, np.tile([1.0, 0, 0, 0], (3, 1)))
     box, other = [[0.0, 1.0], *[[-1.0, 1.0]] * 6], [[5.0, 6.0], [8.0, 9.0], *[[-1.0, 1.0]] * 5]
     rest = {name: [[-1.0, 1.0]] for name in ("z", "q_w", "q_x", "q_y", "q_z")}
-    records = [record(x=[[0.0, 1.0], [5.0, 6.0]], y=[[-1.0, 1.0], [8.0, 9.0]], **rest)] * 3
-    places = [{"p": 0.6, "box": box}, {"p": 0.3, "box": other}]
-    assert records_hold(records, truth, reference).tolist() == [True, True, True]
-    records = [{**one, "places": places} for one in records]
-    assert records_hold(records, truth, reference).tolist() == [True, False, False]
-    unbounded = [{**record(), "places": [{"p": 1.0, "box": [[None, None]] * 7}]}] * 3
-    assert records_hold(unbounded, truth, reference).all()
+    product = record(x=[[0.0, 1.0], [5.0, 6.0]], y=[[-1.0, 1.0], [8.0, 9.0]], **rest)
+    two = {**product, "places": [{"p": 0.6, "box": box}, {"p": 0.3, "box": other}]}
+    whole = {**record(), "places": [{"p": 1.0, "box": [[None, None]] * 7}]}
+    for one, expected in ((product, [True, True, True]), (two, [True, False, False]), (whole, [True, True, True])):
+        for sign in (np.eye(4)[0], None):
+            assert records_hold([one] * 3, truth, sign).tolist() == expected
 
 
 def test_missing_results_are_named(tmp_path):
-    with pytest.raises(ResultsError, match=r"regions\.jsonl"):
-        read_region_records(tmp_path / "regions.jsonl")
+    for read, name in ((read_region_records, "regions.jsonl"), (read_tum, "trajectory.tum")):
+        with pytest.raises(ConformodalError, match=name):
+            read(tmp_path / name)
     (tmp_path / "metrics.json").write_text("[]")
-    with pytest.raises(ResultsError, match="expected an object"):
+    with pytest.raises(ResultsError, match=r"metrics\.json"):
         read_metrics(tmp_path)
-    with pytest.raises(TrajectoryFileError, match=r"trajectory\.tum"):
-        read_tum(tmp_path / "trajectory.tum")
 
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")

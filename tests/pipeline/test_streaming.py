@@ -1,3 +1,5 @@
+"""A stream through an estimator: frame by frame, in windows, and as a recording."""
+
 import pickle
 
 import cv2
@@ -14,13 +16,11 @@ from conformodal.localizer.region_rules import EvidenceType
 from conformodal.localizer.settings import FILTER
 from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.estimator import VisualOdometry
-from conformodal.pipeline.results.records import read_region_records, records_hold
-from conformodal.pipeline.results.runs import read_trajectories
-from conformodal.pipeline.results.statistics import RegionStatistics
-from conformodal.pipeline.results.writer import ResultsWriter
+from conformodal.pipeline.results import ResultsWriter, read_region_records, read_trajectories, records_hold
 from conformodal.pipeline.store import load_model
 from conformodal.pipeline.stream import StreamRunner
 from conformodal.tracking.motions import measure_motions
+from tests.helpers import run_ok
 
 
 @pytest.fixture(scope="module")
@@ -29,10 +29,10 @@ def world(small_world):
 
 
 @pytest.fixture(scope="module")
-def batch(world, small_world):
-    """The same frames, all at once."""
+def answered(world):
+    """Some test frames, answered as a recording."""
     sequence, model = world
-    frames = model.split.test[model.split.test < 300]
+    frames = model.split.test[model.split.test < 150]
     return frames, VisualOdometry(model).process(sequence, frames)
 
 
@@ -43,47 +43,48 @@ def stream(world, frames, folder, **options):
         for frame in RecordingStream(sequence, frames):
             runner.push(frame)
         runner.finish()
+        if runner.truth is not None:
+            writer.truth(runner.truth)
     return runner
 
 
-def test_a_stream_of_one_window_gives_what_the_whole_sequence_gives(world, batch, tmp_path):
-    frames, run = batch
-    runner = stream(world, frames, tmp_path)
-    assert runner.n_answered == len(frames)
+def test_a_run_on_a_recording_and_a_stream_of_its_frames_write_equal_bytes(world, small_world, tmp_path):
+    sequence, model = world
+    run_ok("run", small_world.model, small_world.folder, "--out", tmp_path / "run", "--part", "test")
+    runner = stream(world, model.split.test, tmp_path / "stream")
     assert not runner.windowed
-    assert runner.answered == frames.tolist()
-    found = read_trajectories(tmp_path)
-    for name, trajectory in run.trajectories.items():
-        off = np.linalg.norm(found[name].positions_xyz - trajectory.positions_xyz, axis=1)
-        # features of one image and of sixteen differ in the last digit, which may tip a choice once in a while
-        assert np.mean(off < 1e-3) > 0.97, name
-    assert set(found) == set(run.trajectories)
-    expected = RegionStatistics.of(run.regions, world[0].truth[run.frames], world[1].sign_reference)
-    statistics = runner.statistics
-    assert np.mean(statistics.n_intervals == expected.n_intervals) > 0.97
-    assert np.mean(statistics.inside == expected.inside) > 0.97
-    assert np.mean(np.abs(statistics.length - expected.length) < 1e-6) > 0.95
-    assert np.mean(statistics.kinds == run.kinds) > 0.97
-    assert runner.n_unreliable == int(np.sum(~run.reliable))
-    records = read_region_records(tmp_path / "regions.jsonl")
-    assert [r["frame"] for r in records] == [world[0].image_paths[i].name for i in frames]
-    # what is on disk holds the poses that the regions hold
-    sign, truth = world[1].sign_reference, runner.truth
-    np.testing.assert_array_equal(records_hold(records, truth, sign), statistics.held)
-    on_path, table = records_hold(records, truth, sign, "path_places"), runner.path_coverage
-    assert table["online"]["coverage"] == pytest.approx(on_path.mean())
-    targets = pose_targets(truth, sign)
-    for path, regions in run.path_regions.items():
-        assert table[path]["coverage"] == pytest.approx(regions.contains(targets, joint=True).mean(), abs=0.03)
+    names = ["regions.jsonl", "trajectory.tum", "truth.tum", "methods/online.tum", "methods/hindsight.tum"]
+    for name in names:
+        assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "stream" / name).read_bytes(), name
+    records = read_region_records(tmp_path / "stream" / "regions.jsonl")
+    assert [r["frame"] for r in records] == [sequence.image_paths[i].name for i in model.split.test]
+    # what is on disk contains the poses that the regions contain
+    sign, truth, table = model.sign_reference, runner.truth, runner.path_coverage
+    np.testing.assert_array_equal(records_hold(records, truth, sign), runner.statistics.held)
+    assert table["online"]["coverage"] == pytest.approx(records_hold(records, truth, sign, "path_places").mean())
     assert table["n_reliable_and_elsewhere"] <= table["n_reliable_and_missed"] <= table["n_reliable"]
 
 
-def test_regions_after_motion_hold_the_calibration_frames_whose_scores_they_were_calibrated_on(world, small_world):
+def test_a_recording_is_answered_as_its_stream_is(world, answered, tmp_path):
+    frames, run = answered
+    runner = stream(world, frames, tmp_path)
+    assert runner.answered == run.frames.tolist() == frames.tolist()
+    assert list(runner.trajectories) == list(run.trajectories)
+    for name, trajectory in run.trajectories.items():
+        np.testing.assert_array_equal(runner.trajectories[name].positions_xyz, trajectory.positions_xyz)
+    targets = pose_targets(runner.truth, world[1].sign_reference)
+    for path, regions in run.path_regions.items():
+        assert runner.path_coverage[path]["coverage"] == regions.contains(targets, joint=True).mean()
+    np.testing.assert_array_equal(runner.statistics.kinds, run.kinds)
+    assert runner.n_unreliable == int(np.sum(~run.reliable))
+
+
+def test_regions_after_motion_hold_the_calibration_frames_whose_scores_they_were_calibrated_on(world):
     """Sources of a model that frames calibrate have not seen these: run as one stream, they are what calibrated it."""
     sequence, model = world
-    frames = model.split.calibration
-    run = VisualOdometry(model).process(sequence, frames)
-    targets = pose_targets(sequence.truth[frames], model.sign_reference)
+    frames, odometry = model.split.calibration, VisualOdometry(model)
+    targets, truth = pose_targets(sequence.truth[frames], model.sign_reference), sequence.truth[frames]
+    run = odometry.process(sequence, frames)
     assert run.path_regions.keys() == {"online", "hindsight"}
     for path, regions in run.path_regions.items():
         rule = model.path_rules[path]
@@ -91,13 +92,17 @@ def test_regions_after_motion_hold_the_calibration_frames_whose_scores_they_were
         expected = (rule.scores_ <= rule.thresholds_).all(axis=1)
         assert np.mean(held[~lost] == expected) > 0.97, path
         assert expected.sum() >= min(rule.rank, len(expected)), path
-    online, truth = run.trajectories["online"], sequence.truth[frames]
-    wrong = ~same_place(online, truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
+    wrong = ~same_place(run.trajectories["online"], truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
     wrong &= ~run.path_regions["online"].contains(targets, joint=True)
     n_sure = np.sum(wrong & (run.certainty >= model.reliable_p))
     assert n_sure <= max(0.01, 1 / (len(frames) + 1)) * (len(frames) + 1) or model.reliable_p == FILTER.most_reliable
-    other = model.path_rules["online"].at(0.5)
-    assert other.thresholds_[0] <= model.path_rules["online"].thresholds_[0]
+    # poses when their frame comes depend on no later frame
+    for cut in (5, 12, 20):
+        observations = run.observations(np.arange(cut))
+        posteriors = filter_posteriors(observations, model.prior)
+        path, _ = choose_places(posteriors, observations.timestamps_s, model.prior)
+        online = run.trajectories["online"].positions_xyz[:cut]
+        np.testing.assert_array_equal(path.positions_xyz, online, err_msg=f"{cut}")
 
 
 def test_a_stream_looks_back_at_regions_that_hold_the_frames_which_calibrated_them(world):
@@ -112,65 +117,46 @@ def test_a_stream_looks_back_at_regions_that_hold_the_frames_which_calibrated_th
             odometry.track_only(frame.image, frame.timestamp_s)
     lag, rule = odometry.lag, model.path_rules["lagged"]
     assert back[:lag] == [None] * lag
-    its = back[lag:]
-    assert [one.timestamp_s for one in its] == [one.timestamp_s for one in now[:-lag]]
+    lagged = back[lag:]
+    assert [one.timestamp_s for one in lagged] == [one.timestamp_s for one in now[:-lag]]
     for k in (0, 7):  # the pose in hindsight, and no more than that is another
-        np.testing.assert_array_equal(its[k].pose.positions_xyz[0], now[lag + k].revised.positions_xyz[0])
-        assert its[k].region is now[k].region
+        np.testing.assert_array_equal(lagged[k].pose.positions_xyz[0], now[lag + k].revised.positions_xyz[0])
+        assert lagged[k].region is now[k].region
     assert pickle.loads(pickle.dumps(now[-1])).timestamp_s == now[-1].timestamp_s
     targets = pose_targets(sequence.truth[frames[:-lag]], model.sign_reference)
-    held = np.array([one.path_region.contains(t[None], joint=True)[0] for one, t in zip(its, targets, strict=True)])
-    lost = np.array([one.path_region.unbounded.all() for one in its])
+    held = np.array([e.path_region.contains(t[None], joint=True)[0] for e, t in zip(lagged, targets, strict=True)])
+    lost = np.array([estimate.path_region.unbounded.all() for estimate in lagged])
     expected = (rule.scores_ <= rule.thresholds_).all(axis=1)
     assert len(expected) == (~lost).sum()  # so few that all were drawn
     assert expected.sum() >= min(rule.rank, len(expected))
     assert np.mean(held[~lost] == expected) > 0.97
     odometry.reset()
     assert odometry.lagged() is None
-    other, its = VisualOdometry(model, lag=2), []
+    other, lagged = VisualOdometry(model, lag=2), []
     for k, i in enumerate(frames[:4]):
         other.step(sequence.image(int(i)), float(k))
-        its.append(other.lagged())
-    assert [one is None for one in its] == [True, True, False, False]
-    assert its[2].path_region is None  # calibrated for another lag
+        lagged.append(other.lagged())
+    assert [one is None for one in lagged] == [True, True, False, False]
+    assert lagged[2].path_region is None  # calibrated for another lag
 
 
-def test_after_a_cut_to_another_scene_no_pose_is_reliable(small_world):
-    sequence, model = read_recording(small_world.folder), load_model(small_world.model)
+def test_after_a_cut_to_another_scene_no_pose_is_reliable(world):
+    sequence, model = world
     odometry, rng = VisualOdometry(model), np.random.default_rng(0)
     shape, last = sequence.image(0).shape, sequence.timestamps_s[31]
     for i in range(31):
         odometry.step(sequence.image(i), sequence.timestamps_s[i])
     alien = cv2.resize(rng.integers(0, 255, (9, 12, 3), dtype=np.uint8), shape[1::-1], interpolation=cv2.INTER_CUBIC)
     after = [odometry.step(np.roll(alien, k, axis=1), last + 0.1 * k) for k in range(20)]
-    assert all(its.evidence is EvidenceType.UNKNOWN for its in after)
-    assert not any(its.reliable for its in after)
-
-
-def test_online_poses_are_those_that_step_gives_and_know_no_later_frame(world, batch):
-    sequence, model = world
-    frames, run = batch
-    n = 30
-    odometry, said = VisualOdometry(model), []
-    for frame in RecordingStream(sequence, frames[:n]):
-        if frame.answer:
-            said.append(odometry.step(frame.image, frame.timestamp_s).pose.positions_xyz[0])
-        else:
-            odometry.track_only(frame.image, frame.timestamp_s)
-    online = run.trajectories["online"].positions_xyz
-    # features of one image and of sixteen differ in the last digit, which may tip a choice once in a while
-    assert np.mean(np.linalg.norm(online[:n] - said, axis=1) < 1e-3) > 0.9
-    for cut in (5, 12, 20):
-        seen = run.observations(np.arange(cut))
-        path, _ = choose_places(filter_posteriors(seen, model.prior), seen.timestamps_s, model.prior)
-        np.testing.assert_array_equal(path.positions_xyz, online[:cut], err_msg=f"{cut}")
+    assert all(estimate.evidence is EvidenceType.UNKNOWN for estimate in after)
+    assert not any(estimate.reliable for estimate in after)
 
 
 def test_a_stream_has_the_flow_that_the_whole_sequence_has(world, monkeypatch):
     sequence, model = world
-    frames, seen = np.arange(60, 90, 4), []
+    frames, passed = np.arange(60, 90, 4), []
     localize = type(model).localize
-    monkeypatch.setattr(type(model), "localize", lambda own, e: seen.extend(e.local_features) or localize(own, e))
+    monkeypatch.setattr(type(model), "localize", lambda self, e: passed.extend(e.local_features) or localize(self, e))
     odometry = VisualOdometry(model)
     for frame in RecordingStream(sequence, frames):
         image = None if frame.index in (71, 79) else frame.image
@@ -178,42 +164,42 @@ def test_a_stream_has_the_flow_that_the_whole_sequence_has(world, monkeypatch):
     read = type(sequence).image
     paths = [sequence.image_paths[i] for i in (71, 79)]
 
-    def image(own, i):
-        if own.image_paths[i] in paths:
-            raise ImageError(f"{own.image_paths[i]}: unreadable")
-        return read(own, i)
+    def image(self, i):
+        if self.image_paths[i] in paths:
+            raise ImageError(f"{self.image_paths[i]}: unreadable")
+        return read(self, i)
 
     monkeypatch.setattr(type(sequence), "image", image)
-    found = measure_motions(sequence, frames)
-    for i, its in zip(frames, seen, strict=True):
-        np.testing.assert_array_equal(its.flow, found.local_features[i].flow)
-    moving = [i for i, its in zip(frames, seen, strict=True) if its.flow.any()]
+    measured = measure_motions(sequence, frames)
+    for i, features in zip(frames, passed, strict=True):
+        np.testing.assert_array_equal(features.flow, measured.local_features[i].flow)
+    moving = [i for i, features in zip(frames, passed, strict=True) if features.flow.any()]
     assert moving == [64, 68, 76, 84, 88]  # at 10 Hz, what was before a frame that cannot be read is too long ago
 
 
-def test_windows_lose_no_frame_and_little_else(world, batch, tmp_path):
-    frames, run = batch
-    assert stream(world, frames, tmp_path, window=25, overlap=8).windowed
-    found = read_trajectories(tmp_path)
+def test_windows_lose_no_frame_and_little_else(world, answered, tmp_path):
+    frames, run = answered
+    assert stream(world, frames, tmp_path, window=16, overlap=6).windowed
+    written = read_trajectories(tmp_path)
     for name in ("smoothed", "hindsight", "online"):
-        np.testing.assert_allclose(found[name].timestamps_s, run.timestamps_s, atol=1e-6)
-    off = np.linalg.norm(found["hindsight"].positions_xyz - run.trajectories["hindsight"].positions_xyz, axis=1)
+        np.testing.assert_allclose(written[name].timestamps_s, run.timestamps_s, atol=1e-6)
+    off = np.linalg.norm(written["hindsight"].positions_xyz - run.trajectories["hindsight"].positions_xyz, axis=1)
     assert np.mean(off < 1e-3) > 0.8
-    online = np.linalg.norm(found["online"].positions_xyz - run.trajectories["online"].positions_xyz, axis=1)
-    assert np.mean(online < 1e-3) > 0.97  # knows no windows
+    online = run.trajectories["online"].positions_xyz  # does not depend on windows
+    np.testing.assert_allclose(written["online"].positions_xyz, online, atol=1e-8)
 
 
 def test_what_waits_does_not_grow(world, tmp_path):
     sequence, model = world
     with ResultsWriter(tmp_path) as writer:
-        runner = StreamRunner(VisualOdometry(model), writer, window=30, overlap=10)
-        for i, frame in enumerate(RecordingStream(sequence, np.arange(75))):
+        runner = StreamRunner(VisualOdometry(model), writer, window=12, overlap=4)
+        for i, frame in enumerate(RecordingStream(sequence, np.arange(30))):
             runner.push(frame)
-            assert len(runner._pending) < 30
+            assert len(runner._pending) < 12
             # regions are on disk at once, whatever happens next
-            assert len((tmp_path / "regions.jsonl").read_text().splitlines()) == i + 1
+            assert len((tmp_path / "regions.jsonl.part").read_text().splitlines()) == i + 1
         runner.finish()
-    assert len(read_trajectories(tmp_path)["smoothed"]) == 75
+    assert len(read_trajectories(tmp_path)["smoothed"]) == 30
 
 
 def test_frames_without_an_image_are_counted_and_the_stream_goes_on(world, tmp_path):
@@ -241,10 +227,9 @@ def test_a_time_twice_costs_that_frame_and_a_clock_set_back_ends_the_run_with_al
             runner.push(frame)
             assert runner.push(frame) is None
         assert (runner.n_answered, runner.n_problems) == (8, 8)
-        assert "does not go on" in next(iter(runner.problems.values()))
         for _ in range(9):
             assert runner.push(frames[3]) is None
-        with pytest.raises(SourceError, match=r"time goes back: frame-000003.* follows frame-000007"):
+        with pytest.raises(SourceError, match=r"frame-000003.* follows frame-000007"):
             runner.push(frames[3])
         runner.finish()
     for trajectory in read_trajectories(tmp_path).values():
@@ -267,16 +252,15 @@ def test_recordings_are_answered_apart(world, tmp_path):
 
 def test_a_step_multiplies_matrices_in_one_thread(world, monkeypatch):
     sequence, model = world
-    vo, seen = VisualOdometry(model), []
+    odometry, threads = VisualOdometry(model), []
     answer = VisualOdometry._answer
 
     def recorded(self, *args):
-        seen.extend(one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas")
+        threads.extend(one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas")
         return answer(self, *args)
 
     monkeypatch.setattr(VisualOdometry, "_answer", recorded)
     with threadpool_limits(2, user_api="blas"):
-        vo.step(sequence.image(0), 0.0)
+        odometry.step(sequence.image(0), 0.0)
         assert {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"} == {2}
-    assert seen
-    assert set(seen) == {1}
+    assert set(threads) == {1}

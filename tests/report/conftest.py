@@ -7,7 +7,7 @@ import pytest
 
 from conformodal.geometry import Trajectory
 from conformodal.localizer.region_rules import EvidenceType
-from conformodal.pipeline.results.records import region_record
+from conformodal.pipeline.results import region_record
 from conformodal.report.viewer import Thumbnails
 
 CHECKS = (Path(__file__).parent / "checks.js").read_text(encoding="utf-8")

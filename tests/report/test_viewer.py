@@ -9,7 +9,7 @@ from PIL import Image
 
 from conformodal.geometry import Trajectory
 from conformodal.localizer.region_rules import EvidenceType
-from conformodal.pipeline.results.records import region_record
+from conformodal.pipeline.results import region_record
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
 

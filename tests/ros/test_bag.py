@@ -13,8 +13,7 @@ from conformodal.geometry import Trajectory
 from conformodal.io.streams.frames import Frame
 from conformodal.io.streams.opening import open_stream
 from conformodal.localizer.region_rules import EvidenceType
-from conformodal.pipeline.results.records import read_region_records
-from conformodal.pipeline.results.runs import read_trajectories
+from conformodal.pipeline.results import read_region_records, read_trajectories
 from conformodal.ros.bag import BagWriter
 from conformodal.ros.conventions import TOPICS, Conventions, RosError
 from tests.helpers import run_ok

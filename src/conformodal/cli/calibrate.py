@@ -15,7 +15,7 @@ from conformodal.localizer.radius import Guarantee, recordings_needed
 from conformodal.pipeline.config import Method
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.model import METHODS
-from conformodal.pipeline.results.folders import lock_output
+from conformodal.pipeline.results import lock_output
 from conformodal.pipeline.selection import calibrate_selection
 from conformodal.pipeline.store import load_model, save_model
 

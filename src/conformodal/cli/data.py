@@ -27,9 +27,8 @@ from conformodal.io.streams.frames import FrameStream
 from conformodal.io.streams.stored import RecordingStream
 from conformodal.localizer.overlap import Overlap, measure_overlap
 from conformodal.pipeline.depths import measure_depths
-from conformodal.pipeline.results.folders import lock_output
-from conformodal.pipeline.results.provenance import provenance
-from conformodal.pipeline.results.runs import write_metrics
+from conformodal.pipeline.provenance import provenance
+from conformodal.pipeline.results import lock_output, write_metrics
 from conformodal.pipeline.store import load_model, model_digest
 from conformodal.quality.advice import advice, numbers, quality_record, verdict
 from conformodal.quality.examining import RecordingQuality, examine

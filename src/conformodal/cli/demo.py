@@ -23,8 +23,7 @@ from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Recording, read_sevenscenes
 from conformodal.pipeline.config import Method, ModelConfig
-from conformodal.pipeline.results.folders import lock_output
-from conformodal.pipeline.results.runs import write_metrics
+from conformodal.pipeline.results import lock_output, write_metrics
 from conformodal.report.page import write_page
 
 from .console import print_where, progress_bars, report_line
@@ -63,7 +62,7 @@ def demo(
         outcome.metrics["command"] = "demo"
         outcome.metrics["seconds"] = round(time.perf_counter() - started, 2)
         write_metrics(out, outcome.metrics)
-        write_page(out / "report.html", page_of(outcome, sequence, model, world, alike, out))
+        write_page(out / "report.html", page_of(outcome, sequence, model, world, alike))
     report_outcome("demo", outcome.metrics, unbounded=outcome.metrics["coverage"]["unbounded"])
     report_line(describe_places(outcome.metrics["ambiguity"]))
     report_line(describe_ratios(outcome.metrics))

@@ -21,13 +21,11 @@ from conformodal.io import Recording
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.estimates import OdometryRun
-from conformodal.pipeline.evaluate import path_coverage_table
+from conformodal.pipeline.evaluate import RegionStatistics, path_coverage_table
 from conformodal.pipeline.model import ONLINE, PoseModel
 from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.plain import train_plain
-from conformodal.pipeline.results.records import REGIONS, read_region_records
-from conformodal.pipeline.results.runs import read_trajectories, write_run
-from conformodal.pipeline.results.statistics import RegionStatistics
+from conformodal.pipeline.results import write_run
 from conformodal.pipeline.train import prepare_training_data
 from conformodal.report.figures import plan_figure
 from conformodal.report.page import PageFigure, ReportContent
@@ -41,6 +39,7 @@ class Outcome:
     run: OdometryRun
     truth: Trajectory
     metrics: dict[str, Any]
+    records: list[dict[str, Any]]  # of the regions
 
 
 def answer_test_part(
@@ -58,7 +57,7 @@ def answer_test_part(
     classical = train_plain(data, config.training)
     result.trajectories["classical"] = classical.trajectory(features, result.timestamps_s)
     truth = sequence.require_truth()[result.frames]
-    write_run(out, result, [path.name for path in paths], truth, "demo")
+    records = write_run(out, result, [path.name for path in paths], truth)
     counts = {
         "n_answered": len(result.frames),
         "n_unreliable": int(np.sum(~result.reliable)),
@@ -76,7 +75,7 @@ def answer_test_part(
         coverage = path_coverage_table(on_path, model, result.trajectories[ONLINE], truth, result.reliable)
     known = GroundTruth(truth, RegionStatistics.of(result.regions, truth, sign, result.kinds), paths=coverage)
     metrics = run_metrics(model, Part.TEST, result.trajectories, known, counts)
-    return Outcome(result, truth, metrics)
+    return Outcome(result, truth, metrics, records)
 
 
 def describe_ratios(metrics: dict[str, Any]) -> str:
@@ -96,9 +95,9 @@ def describe_places(record: dict[str, Any]) -> str:
 
 
 def page_of(
-    outcome: Outcome, sequence: Recording, model: PoseModel, world: CorridorWorld, alike: AmbiguityCheck, folder: Path
+    outcome: Outcome, sequence: Recording, model: PoseModel, world: CorridorWorld, alike: AmbiguityCheck
 ) -> ReportContent:
-    """The page of answers in a folder, with the plan of a frame that has most look-alike places, all of them held."""
+    """The page of answers, with the plan of a frame that has most look-alike places, all of them held."""
     run, metrics = outcome.run, outcome.metrics
     paper = model.method is Method.PAPER
     index = int(np.argmax([len(p) if held.all() else -1 for p, held in zip(alike.places, alike.held, strict=True)]))
@@ -129,8 +128,8 @@ def page_of(
         metrics,
         [PageFigure("plan", "One frame, and every place with the same view", caption, svg)],
         make_viewer(
-            read_region_records(folder / REGIONS),
-            read_trajectories(folder),
+            outcome.records,
+            run.trajectories,
             outcome.truth,
             pictures.jpegs,
             model.rules.level,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,17 +18,15 @@ from conformodal.io import Layout
 from conformodal.localizer.targets import TARGET_NAMES
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.evaluate import bounded_coverage, error_table
-from conformodal.pipeline.results.folders import check_belongs, lock_output, recover, result_digests
-from conformodal.pipeline.results.provenance import provenance
-from conformodal.pipeline.results.records import (
-    METRICS,
-    REGIONS,
-    read_region_records,
+from conformodal.pipeline.provenance import provenance
+from conformodal.pipeline.results import (
+    intervals_hold,
+    lock_output,
+    read_run,
     record_bounded,
-    records_contain,
     records_hold,
+    write_metrics,
 )
-from conformodal.pipeline.results.runs import read_metrics, read_trajectories, read_unfinished, write_metrics
 
 from .console import console, print_where, report_line, report_strongly
 from .failures import report_errors
@@ -50,40 +48,34 @@ def evaluate(
 ) -> None:
     """Compare results with true poses, interpolated by time. Writes OUT/evaluation/metrics.json."""
     with writing_in(out), lock_output(out / "evaluation", "evaluate"):
-        recover(out)
-        found = _read_results(out)
+        result = read_run(out)
         true_poses = _read_truth(truth, layout, time_offset, follow_outside=follow_outside)
-        rows, gaps = poses_at(true_poses, found.times.timestamps_s, max_gap)
+        rows, gaps = poses_at(true_poses, result.answer.timestamps_s, max_gap)
         mine = np.flatnonzero(np.isfinite(rows).all(axis=1))
         if not mine.size:
-            associate(found.times, true_poses, max_gap)  # says why
+            associate(result.answer, true_poses, max_gap)  # says why
             raise OdometryError(f"{truth}: no pose of the results lies between true ones within {max_gap:g} s")
-        matched = Trajectory(found.times.timestamps_s[mine], rows[mine, :3], rows[mine, 3:])
-        moved = {name: align(t[mine], matched, alignment) for name, t in found.trajectories.items()}
+        matched = Trajectory(result.answer.timestamps_s[mine], rows[mine, :3], rows[mine, 3:])
+        moved = {name: align(t[mine], matched, alignment) for name, t in result.trajectories.items()}
         errors = {name: row | _motion_errors(moved[name], matched) for name, row in error_table(moved, matched).items()}
         doubt = ""
-        if alignment in (Alignment.SE3, Alignment.SIM3) and moved:
+        if alignment in (Alignment.SE3, Alignment.SIM3):
             doubt = straightness(matched, next(iter(errors.values()))["rmse_m"])
-        metrics = found.metrics
-        sign = metrics.get("sign_reference_quat_wxyz")
         # regions lie in the world of the answer: there the truth is brought by what brings it nearest to the answer
-        answer = next(iter(found.trajectories.values()), None)
-        here = matched if alignment is Alignment.NONE or answer is None else align(matched, answer[mine], alignment)
-        records = [found.records[i] for i in mine]
-        sign = None if sign is None else np.array(sign, dtype=np.float64)
-        inside, held = records_contain(records, here, sign), records_hold(records, here, sign)
+        here = matched if alignment is Alignment.NONE else align(matched, result.answer[mine], alignment)
+        records, sign = [result.records[i] for i in mine], result.sign_reference
+        inside, held = intervals_hold(records, here, sign), records_hold(records, here, sign)
         bounded = np.array([record_bounded(record) for record in records], dtype=np.bool_)
-        result: dict[str, Any] = {
+        evaluation: dict[str, Any] = {
             "command": "evaluate",
-            "results": result_digests(out),
+            "results": result.metrics.get("results"),
             "provenance": provenance(),
-            "configuration": {"results": metrics.get("configuration"), "truth": truth.name, "align": alignment},
-            "seed": metrics.get("seed"),
-            "unfinished": found.unfinished,
+            "configuration": {"results": result.metrics.get("configuration"), "truth": truth.name, "align": alignment},
+            "seed": result.metrics.get("seed"),
             "n_matched": len(mine),
             "largest_gap_s": float(gaps[mine].max()),
             "alignment_doubt": doubt or None,
-            "n_answered": len(found.times),
+            "n_answered": len(result.answer),
             "errors": errors,
             "coverage": {
                 "targets": dict(zip(TARGET_NAMES, inside.mean(axis=0).tolist(), strict=True)),
@@ -92,69 +84,23 @@ def evaluate(
                 "abstained": float((~bounded).mean()),
                 **bounded_coverage(held, bounded),
                 "path_coverage": float(records_hold(records, here, sign, "path_places").mean())
-                if all(record.get("path_places") is not None for record in records)
+                if all(record["path_places"] is not None for record in records)
                 else None,
                 "note": "share of true poses in the stored intervals; whether alpha guarantees it depends on how these "
                 "frames relate to the calibration frames",
             },
         }
-        write_metrics(out / "evaluation", result)
-    if found.unfinished:
-        report_strongly("the run did not come to its end: what it had written until then is evaluated")
+        write_metrics(out / "evaluation", evaluation)
     have = noun_for(len(mine), "has", "have")
-    answers, gap = counted(len(found.times), "pose"), gaps[mine].max()
-    hint = clock_hint(found.times.timestamps_s, true_poses.timestamps_s) if 2 * len(mine) < len(found.times) else ""
+    answers, gap = counted(len(result.answer), "pose"), gaps[mine].max()
+    hint = clock_hint(result.answer.timestamps_s, true_poses.timestamps_s) if 2 * len(mine) < len(result.answer) else ""
     console.print(f"{len(mine)} of {answers} {have} a true one; the largest gap bridged is {gap:.3g} s{hint}")
     if doubt:
         report_strongly(doubt)
     moved_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
     print_errors(errors, f"against {truth.name}{moved_by}")
-    report_line(describe_coverage(result["coverage"]))
+    report_line(describe_coverage(evaluation["coverage"]))
     print_where(out / "evaluation")
-
-
-@dataclass(frozen=True, eq=False)
-class Results:
-    """Content of a folder of results: as many records as poses of each method."""
-
-    metrics: dict[str, Any]  # of the run; empty where they are missing
-    records: list[dict[str, Any]]  # one per frame
-    trajectories: dict[str, Trajectory]  # by method, the answer first
-    times: Trajectory  # of the frames; the poses are placeholders if there is no method
-    unfinished: bool  # whether the run was killed
-
-
-def _read_results(out: Path) -> Results:
-    """Read results; of a run that was killed, what is whole: frames that all its files know."""
-    killed = (out / REGIONS).is_file() and not (out / METRICS).exists()
-    metrics = {} if killed else read_metrics(out)
-    unfinished = not metrics or bool(metrics.get("unfinished"))
-    records = read_region_records(out / REGIONS, torn=unfinished)
-    if not unfinished:
-        check_belongs(out, metrics)
-        trajectories = read_trajectories(out)
-        answer = next(iter(trajectories.values()))
-        if any(len(t) != len(answer) for t in trajectories.values()) or len(records) != len(answer):
-            raise OdometryError(f"{out}: trajectories and regions differ in length; was a run overwritten half-way?")
-        other = [name for name, t in trajectories.items() if not np.array_equal(t.timestamps_s, answer.timestamps_s)]
-        if other:
-            raise OdometryError(f"{out}: the poses of {other[0]} have other times than the answer: of another run?")
-        return Results(metrics, records, trajectories, answer, unfinished)
-    if not records:
-        raise OdometryError(f"{out}: the run was killed before it had answered a frame; run it again")
-    return _common(metrics, records, read_unfinished(out))
-
-
-def _common(metrics: dict[str, Any], records: list[dict[str, Any]], trajectories: dict[str, Trajectory]) -> Results:
-    """The frames that all files know, by their times in microseconds, which is what files say."""
-    stamps = [round(1e6 * r["timestamp_s"]) for r in records]
-    known = {name: np.round(1e6 * t.timestamps_s).astype(np.int64) for name, t in trajectories.items()}
-    both = sorted(set(stamps).intersection(*(set(times.tolist()) for times in known.values())))
-    at = {stamp: i for i, stamp in enumerate(stamps)}
-    kept = {name: t[np.flatnonzero(np.isin(known[name], both))] for name, t in trajectories.items()}
-    n = len(both)
-    nowhere = Trajectory(np.array(both) / 1e6, np.zeros((n, 3)), np.tile([1.0, 0, 0, 0], (n, 1)))
-    return Results(metrics, [records[at[s]] for s in both], kept, next(iter(kept.values()), nowhere), True)
 
 
 def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from conformodal.pipeline.config import Runtime, config_of
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.identity import identify
 from conformodal.pipeline.model import PoseModel
-from conformodal.pipeline.results.folders import lock_output
+from conformodal.pipeline.results import lock_output
 from conformodal.pipeline.store import load_model, save_model
 
 from .console import print_where, progress_bars

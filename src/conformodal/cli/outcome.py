@@ -15,11 +15,10 @@ from conformodal.geometry import Trajectory
 from conformodal.io import Recording
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.errors import OdometryError
-from conformodal.pipeline.evaluate import coverage_table, error_table, is_exchangeable, radius_table
+from conformodal.pipeline.evaluate import RegionStatistics, coverage_table, error_table, is_exchangeable, radius_table
 from conformodal.pipeline.identity import identify
 from conformodal.pipeline.model import HINDSIGHT, ONLINE, PoseModel
-from conformodal.pipeline.results.provenance import provenance
-from conformodal.pipeline.results.statistics import RegionStatistics
+from conformodal.pipeline.provenance import provenance
 
 from .console import console, report_line, report_strongly
 
@@ -115,11 +114,6 @@ def run_metrics(
         metrics["coverage"] = coverage_table(known.regions, model, exchangeable=exchangeable, seen=seen)
         metrics["path_coverage"] = known.paths
     return metrics
-
-
-def unfinished_metrics(model: PoseModel, part: Part, digest: str | None) -> dict[str, Any]:
-    """What a run that is killed leaves as its metrics: enough to evaluate what it has written."""
-    return _origin(model, part) | {"unfinished": True, "model": digest}
 
 
 def _origin(model: PoseModel, part: Part) -> dict[str, Any]:

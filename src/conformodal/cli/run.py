@@ -28,11 +28,7 @@ from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimates import Estimate
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.paper import odometry_of
-from conformodal.pipeline.results.folders import lock_output, result_digests
-from conformodal.pipeline.results.parquet import write_region_parquet
-from conformodal.pipeline.results.records import REGIONS, read_region_records
-from conformodal.pipeline.results.runs import write_metrics
-from conformodal.pipeline.results.writer import ResultsWriter
+from conformodal.pipeline.results import ResultsWriter, lock_output, write_metrics, write_region_parquet
 from conformodal.pipeline.store import load_model, model_digest
 from conformodal.pipeline.stream import StreamRunner
 from conformodal.report.page import ReportContent, write_page
@@ -40,7 +36,7 @@ from conformodal.report.viewer import Thumbnails, make_viewer
 
 from .console import StageReport, print_where, progress_bars, report_line
 from .failures import BROKE_OFF, OptionError, report_errors, stop_code, stopping
-from .outcome import GroundTruth, Part, describe_outcome, part_frames, report_outcome, run_metrics, unfinished_metrics
+from .outcome import GroundTruth, Part, describe_outcome, part_frames, report_outcome, run_metrics
 from .sources import DataLayout, FollowOutside, SavedModel, open_source
 
 _INTERRUPTED = "interrupted"
@@ -222,7 +218,6 @@ def _stream_through(
     started = time.perf_counter()
     # a signal stops the stream; what follows is brought to its end, so that results are kept
     with stopping(gently=True) as stop, ResultsWriter(out, answer=odometry.answer) as writer:
-        write_metrics(writer.place, unfinished_metrics(model, how.part, how.digest))
         truth, posed = (None, None) if sequence is None else (sequence.poses, sequence.posed)
         with progress_bars(out) as report, StreamRunner(odometry, writer, truth=truth, posed=posed) as runner:
             stopped, limited = _push_all(runner, stream, shown, how, stop, report)
@@ -231,6 +226,9 @@ def _stream_through(
         if not runner.n_answered:
             first = next(iter(runner.problems.values()), "it holds no frame")
             raise OdometryError(f"{stream.name}: no frame could be answered: {stopped or first}")
+        if runner.truth is not None:
+            writer.truth(runner.truth)
+        writer.close()
         counts = {**_counts(runner, writer), "stopped": stopped, "seconds": round(seconds, 2), "model": how.digest}
         counts |= {"signal": stop[0]} if stopped == _INTERRUPTED else {}
         whole = not (stopped or limited or lossy or runner.windowed)
@@ -288,23 +286,21 @@ def _write_results(
     known = None
     if runner.truth is not None:
         known = GroundTruth(runner.truth, runner.statistics, np.array(runner.known), runner.path_coverage)
-        writer.truth(known.truth)
     trajectories = runner.trajectories
     metrics = run_metrics(model, part, trajectories, known, counts, whole=whole)
-    write_metrics(writer.place, metrics)
+    write_metrics(writer.folder, metrics)
     if find_spec("pyarrow"):  # an extra
-        write_region_parquet(writer.place)
-    records = read_region_records(writer.place / REGIONS)
-    viewer = make_viewer(records, trajectories, runner.truth, shown.pictures.jpegs, model.rules.level)
+        write_region_parquet(writer.folder, writer.records)
+    viewer = make_viewer(writer.records, trajectories, runner.truth, shown.pictures.jpegs, model.rules.level)
     page = ReportContent(f"conformodal: {name}", describe_outcome(name, metrics), metrics, viewer=viewer)
-    write_page(writer.place / "report.html", page)
+    write_page(writer.folder / "report.html", page)
     return metrics
 
 
 def _counts(runner: StreamRunner, writer: ResultsWriter) -> dict[str, Any]:
     return {
         "n_answered": runner.n_answered,
-        "results": result_digests(writer.place),
+        "results": writer.digests,
         "n_unreliable": runner.n_unreliable,
         "n_localized": runner.n_localized,
         "n_unknown": runner.n_unknown,

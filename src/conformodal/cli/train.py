@@ -19,9 +19,8 @@ from conformodal.io import Layout, Recording, SplitKind
 from conformodal.localizer.sources.landmarks import LandmarkSource
 from conformodal.pipeline.config import Calibration, Method, ModelConfig, Runtime
 from conformodal.pipeline.model import PoseModel
-from conformodal.pipeline.results.folders import lock_output
-from conformodal.pipeline.results.provenance import provenance
-from conformodal.pipeline.results.runs import write_metrics
+from conformodal.pipeline.provenance import provenance
+from conformodal.pipeline.results import lock_output, write_metrics
 from conformodal.pipeline.store import model_digest, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 from conformodal.quality.advice import advice, numbers, quality_record, verdict

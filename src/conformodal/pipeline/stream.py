@@ -21,13 +21,11 @@ from conformodal.localizer.prior import MotionPrior
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.localizer.regions import PoseRegions
 from conformodal.localizer.smoother import smooth
-from conformodal.pipeline.results.records import places_of, region_record
-from conformodal.pipeline.results.statistics import RegionStatistics
-from conformodal.pipeline.results.writer import ResultsWriter
 
 from .estimates import Estimate, FrameEstimator, observations_of
-from .evaluate import path_coverage_table
+from .evaluate import RegionStatistics, path_coverage_table
 from .model import HINDSIGHT, METHODS, ONLINE
+from .results import ResultsWriter, record_of
 
 # Whole-path answers are worked out for so many frames at a time. The last ones wait for the next window, and that one
 # sees as many frames before them: what is further away than a few hundred frames tells nothing of a frame.
@@ -234,20 +232,7 @@ class StreamRunner:
         if motion is not None:
             self.motion[str(motion.status)] += 1
         if self.writer is not None:
-            place_p = estimate.places[0].probability if estimate.places else None
-            record = region_record(
-                frame.name,
-                frame.timestamp_s,
-                motion,
-                region.intervals(0),
-                estimate.known_p,
-                estimate.evidence,
-                place_p,
-                reliable=estimate.reliable,
-                places=places_of(region),
-                path_places=places_of(estimate.path_region),
-            )
-            self.writer.region(record)
+            self.writer.region(record_of(frame.name, estimate))
         truth = self.true_pose(frame)
         if truth is not None:
             sign, kind = self.estimator.model.sign_reference, np.array([estimate.evidence])

@@ -16,7 +16,7 @@ from conformodal.core.extras import require_extra
 from conformodal.core.words import counted
 from conformodal.geometry import Trajectory, trajectory_errors
 from conformodal.pipeline.model import ONLINE
-from conformodal.pipeline.results.records import records_hold
+from conformodal.pipeline.results import records_hold
 
 from .page_frames import describe_run, kind_of, page_frame
 

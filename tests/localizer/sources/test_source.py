@@ -16,8 +16,7 @@ from conformodal.pipeline.calibrate import score_beliefs
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.depths import measure_depths
 from conformodal.pipeline.estimator import VisualOdometry
-from conformodal.pipeline.evaluate import coverage_table
-from conformodal.pipeline.results.statistics import RegionStatistics
+from conformodal.pipeline.evaluate import RegionStatistics, coverage_table
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 

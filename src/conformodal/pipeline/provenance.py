@@ -27,7 +27,7 @@ def provenance() -> dict[str, Any]:
     """Versions of this package and of those that decide its numbers, the source revision, machine and time."""
     return {
         "conformodal": metadata.version("conformodal"),
-        "source_revision": source_revision(Path(__file__).resolve().parents[4]),
+        "source_revision": source_revision(Path(__file__).resolve().parents[3]),
         "packages": _versions(),
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",

@@ -1,0 +1,458 @@
+"""Results of a run: records of regions in memory, the files that hold them, and whose a folder of files is."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TextIO
+
+import numpy as np
+
+from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.core.extras import require_extra
+from conformodal.core.files import FolderError, replacing, write_whole, writing_in
+from conformodal.core.ranges import as_member
+from conformodal.core.words import as_utf8, finite_or_none
+from conformodal.geometry import RelativeMotion, Trajectory
+from conformodal.io.pose_files import TUM_HEADER, read_tum, tum_lines
+from conformodal.localizer.places import Place
+from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import PoseRegions
+from conformodal.localizer.targets import TARGET_NAMES, pose_targets
+
+from .config import Method
+from .errors import ResultsError
+from .estimates import Estimate, OdometryRun
+from .model import METHODS, PAPERS_METHOD
+
+REGIONS, METRICS, TRAJECTORY, TRUTH = "regions.jsonl", "metrics.json", "trajectory.tum", "truth.tum"
+PARQUET = "regions.parquet"
+UNFINISHED = ".part"  # follows the name of a file that a run has not finished, or was killed before it had
+_ROWS_AT_A_TIME = 2000
+_ANY_SIGN = np.array([1.0, 0.1, 0.01, 0.001])  # tells q from -q
+# The files of each command. The first tells whose a folder is that has no metrics; commands that run others come first.
+_FILES: dict[str, tuple[str, ...]] = {
+    "demo": ("corridor", "model", "report.html"),
+    "train": ("model.json", "weights.safetensors"),
+    "run": (REGIONS, TRAJECTORY, TRUTH, "report.html"),
+    "evaluate": (),
+    "data": (METRICS,),
+}
+
+
+# ---- records of regions
+
+
+def region_record(
+    name: str,
+    timestamp_s: float,
+    motion: RelativeMotion | None,
+    intervals: Sequence[FloatArray],
+    known_p: float | None = None,
+    kind: EvidenceType = EvidenceType.GLOBAL,
+    place_p: float | None = None,
+    *,
+    reliable: bool = True,
+    places: Sequence[Place] | None = None,
+    path_places: Sequence[Place] | None = None,
+) -> dict[str, Any]:
+    """The record of a frame, one line of ``regions.jsonl``; see :class:`~conformodal.pipeline.estimates.Estimate`.
+
+    `intervals` are (m, 2) per target, `place_p` the probability of the chosen place when the frame came, `places` and
+    `path_places` those of the image's region and of that from the frames so far; None for a region that is a product.
+    """
+    kind = as_member(kind, EvidenceType, "kind", ResultsError)
+    return {
+        "timestamp_s": round(float(timestamp_s), 6),
+        "frame": name,
+        "reliable": reliable and kind is not EvidenceType.UNKNOWN,
+        "place_p": None if place_p is None else float(f"{place_p:.4g}"),
+        "known_p": None if known_p is None or math.isnan(known_p) else float(f"{known_p:.4g}"),
+        "evidence": kind.name.lower(),
+        "motion": "first" if motion is None else str(motion.status),
+        # [null, null] is the whole line; [] an empty set
+        "intervals": {target: _ends(parts) for target, parts in zip(TARGET_NAMES, intervals, strict=True)},
+        "places": None if places is None else [_place_record(place) for place in places],
+        "path_places": None if path_places is None else [_place_record(place) for place in path_places],
+    }
+
+
+def record_of(name: str, estimate: Estimate) -> dict[str, Any]:
+    """The record of a frame from its estimate, which has a region."""
+    assert estimate.region is not None
+    assert estimate.evidence is not None
+    return region_record(
+        name,
+        estimate.timestamp_s,
+        estimate.relative_motion,
+        estimate.region.intervals(0),
+        estimate.known_p,
+        estimate.evidence,
+        estimate.places[0].probability if estimate.places else None,
+        reliable=estimate.reliable,
+        places=_places_of(estimate.region),
+        path_places=_places_of(estimate.path_region),
+    )
+
+
+def _places_of(region: PoseRegions | None) -> list[Place] | None:
+    """The places of a frame's region (length 1); None of a region that is a product."""
+    return None if region is None or region.product else region.places(0)
+
+
+def _place_record(place: Place) -> dict[str, Any]:
+    assert place.box is not None
+    return {
+        "p": float(f"{place.probability:.4g}"),
+        "position_xyz": place.position_xyz.round(6).tolist(),
+        "orientation_quat_wxyz": place.orientation_quat_wxyz.round(6).tolist(),
+        "sigma_m": place.position_spreads.round(6).tolist(),
+        "sigma_rad": round(place.orientation_spread_rad, 6),
+        "box": _ends(place.box),
+    }
+
+
+def _ends(intervals: FloatArray) -> list[list[float | None]]:
+    """Ends of intervals (m, 2); None where there is no bound."""
+    return [[finite_or_none(low), finite_or_none(high)] for low, high in intervals]
+
+
+def record_bounded(record: dict[str, Any]) -> bool:
+    """Whether the region of a frame is bounded in every target."""
+    return not any(None in part for parts in record["intervals"].values() for part in parts)
+
+
+def intervals_hold(records: Sequence[dict[str, Any]], truth: Trajectory, sign_reference: FloatArray) -> BoolArray:
+    """Whether the intervals of each target contain its true value, (n, 7)."""
+    targets = pose_targets(truth, sign_reference)
+    inside = np.zeros(targets.shape, dtype=np.bool_)
+    for i, record in enumerate(records):
+        for j, name in enumerate(TARGET_NAMES):
+            inside[i, j] = any(_within(part, targets[i, j]) for part in record["intervals"][name])
+    return inside
+
+
+def records_hold(
+    records: Sequence[dict[str, Any]], truth: Trajectory, sign_reference: FloatArray | None, places: str = "places"
+) -> BoolArray:
+    """Whether regions contain the true poses, (n,); `places` are those of the image or ``path_places``.
+
+    A region without places is the product of its intervals. Without a reference, quaternions have either sign.
+    """
+    if sign_reference is None:
+        signs = (_ANY_SIGN, -_ANY_SIGN)
+        return np.logical_or(*(records_hold(records, truth, sign, places) for sign in signs))
+    held: BoolArray = np.array(intervals_hold(records, truth, sign_reference).all(axis=1))
+    for i, (record, target) in enumerate(zip(records, pose_targets(truth, sign_reference), strict=True)):
+        boxes = record[places]
+        if boxes is not None and (places != "places" or record_bounded(record)):
+            held[i] = any(all(map(_within, place["box"], target)) for place in boxes)
+    return held
+
+
+def _within(interval: Sequence[float | None], value: float) -> bool:
+    low, high = interval
+    return (low is None or low <= value) and (high is None or value <= high)
+
+
+# ---- files
+
+
+class ResultsWriter:
+    """Writes ``regions.jsonl``, ``trajectory.tum`` (the answer), ``methods/NAME.tum`` and ``truth.tum`` as frames come.
+
+    A file has ``.part`` behind its name until the run ends; then it takes the place of an earlier run's. What a run
+    that is killed had written stays in these; nothing else of it does. `answer` is the method whose poses are the
+    answer.
+
+    Attributes
+    ----------
+    records
+        Of all regions so far.
+    """
+
+    def __init__(self, folder: Path, answer: str = METHODS[0]) -> None:
+        self.folder, self.answer = folder, answer
+        self.records: list[dict[str, Any]] = []
+        self._open: dict[str, TextIO] = {}
+        self._digests: dict[str, Any] = {}
+        (folder / "methods").mkdir(parents=True, exist_ok=True)
+        self._remove_unfinished()
+        self._write(REGIONS, [])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+            return
+        for file in self._open.values():
+            file.close()
+        if not self.records:
+            self._remove_unfinished()
+
+    def region(self, record: dict[str, Any]) -> None:
+        """Write the region of the next frame, from :func:`region_record`."""
+        self._write(REGIONS, [json.dumps(record)])
+        self.records.append(record)
+
+    def poses(self, method: str, trajectory: Trajectory) -> None:
+        """Write the next poses of a method."""
+        self._write(TRAJECTORY if method == self.answer else f"methods/{method}.tum", tum_lines(trajectory))
+
+    def truth(self, trajectory: Trajectory) -> None:
+        """Write the next true poses."""
+        self._write(TRUTH, tum_lines(trajectory))
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of the files that numbers about a run rest on, as far as they are written."""
+        return {name: self._digests[name].hexdigest() for name in (REGIONS, TRAJECTORY) if name in self._digests}
+
+    def close(self) -> None:
+        """Finish all files, once; those of an earlier run go, and what was made from them."""
+        if not self._open:
+            return
+        for file in self._open.values():
+            file.close()
+        old = [TRUTH, PARQUET, "report.html", f"evaluation/{METRICS}", METRICS]
+        old += [f"methods/{path.name}" for path in (self.folder / "methods").glob("*.tum")]
+        for name in set(old) - self._open.keys():
+            (self.folder / name).unlink(missing_ok=True)
+        for name in self._open:
+            (self.folder / f"{name}{UNFINISHED}").replace(self.folder / name)
+        self._open.clear()
+
+    def _write(self, name: str, lines: Sequence[str]) -> None:
+        if name not in self._open:
+            # line buffered, so that others can follow a run
+            self._open[name] = (self.folder / f"{name}{UNFINISHED}").open("w", encoding="utf-8", buffering=1)
+            self._digests[name] = hashlib.sha256()
+            if name.endswith(".tum"):
+                lines = [TUM_HEADER, *lines]
+        for line in lines:
+            self._open[name].write(f"{line}\n")
+            self._digests[name].update(f"{line}\n".encode())
+
+    def _remove_unfinished(self) -> None:
+        for path in [*self.folder.glob(f"*{UNFINISHED}"), *self.folder.glob(f"methods/*{UNFINISHED}")]:
+            path.unlink()
+
+
+def write_run(
+    folder: Path, run: OdometryRun, frame_names: Sequence[str], truth: Trajectory | None
+) -> list[dict[str, Any]]:
+    """Write a recording's answers as :class:`ResultsWriter` does; returns the records.
+
+    `frame_names` and `truth` are names and true poses of the answered frames.
+    """
+    with ResultsWriter(folder, run.answer) as writer:
+        for name, trajectory in run.trajectories.items():
+            writer.poses(name, trajectory)
+        if truth is not None:
+            writer.truth(truth)
+        for name, estimate in zip(frame_names, run.estimates, strict=True):
+            writer.region(record_of(name, estimate))
+    return writer.records
+
+
+def write_metrics(folder: Path, metrics: dict[str, Any]) -> Path:
+    """Write ``metrics.json``; returns its path."""
+    path = folder / METRICS
+    write_whole(path, json.dumps(metrics, indent=1, allow_nan=False) + "\n")
+    return path
+
+
+def write_region_parquet(folder: Path, records: Iterable[dict[str, Any]]) -> Path:
+    """Write records as ``regions.parquet`` (extra ``arrow``), one row per frame; returns its path.
+
+    A target is a column ``list<fixed_size_list<double>[2]>`` of sorted, disjoint intervals; ends without a bound are
+    infinite. Places are lists of structs.
+    """
+    with require_extra("arrow", "Parquet"):
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+        import pyarrow.parquet as pq  # noqa: PLC0415
+    number, text, intervals = pa.float64(), pa.string(), pa.list_(pa.list_(pa.float64(), 2))
+    vectors = [(name, pa.list_(number)) for name in ("position_xyz", "orientation_quat_wxyz", "sigma_m")]
+    place = pa.struct([("p", number), ("sigma_rad", number), ("box", intervals), *vectors])
+    plain = {"timestamp_s": number, "frame": text, "reliable": pa.bool_(), "place_p": number, "known_p": number}
+    plain |= {"evidence": text, "motion": text}
+    places = {name: pa.list_(place) for name in ("places", "path_places")}
+    schema = pa.schema([*plain.items(), *((name, intervals) for name in TARGET_NAMES), *places.items()])
+
+    def row(record: dict[str, Any]) -> dict[str, Any]:
+        boxes = {
+            name: None if record[name] is None else [p | {"box": _infinite(p["box"])} for p in record[name]]
+            for name in places
+        }
+        targets = {name: _infinite(parts) for name, parts in record["intervals"].items()}
+        return {**{name: record[name] for name in plain}, "frame": as_utf8(record["frame"]), **targets, **boxes}
+
+    path, coming = folder / PARQUET, iter(records)
+    with replacing(path) as part, pq.ParquetWriter(part, schema) as file:
+        while some := list(islice(coming, _ROWS_AT_A_TIME)):  # itertools.batched came with Python 3.12
+            file.write_table(pa.Table.from_pylist([row(record) for record in some], schema))
+    return path
+
+
+def _infinite(parts: list[list[float | None]]) -> list[list[float]]:
+    return [[-math.inf if low is None else low, math.inf if high is None else high] for low, high in parts]
+
+
+# ---- reading
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """The results of a run as its folder holds them: as many records as poses of each method."""
+
+    metrics: dict[str, Any]
+    records: list[dict[str, Any]]
+    trajectories: dict[str, Trajectory]  # by method, the answer first
+
+    @property
+    def answer(self) -> Trajectory:
+        """The poses of the answer."""
+        return next(iter(self.trajectories.values()))
+
+    @property
+    def sign_reference(self) -> FloatArray:
+        """(4,) quaternion that fixes the signs of quaternions in intervals."""
+        try:
+            return np.array(self.metrics["sign_reference_quat_wxyz"], dtype=np.float64).reshape(4)
+        except (KeyError, TypeError, ValueError):
+            raise ResultsError(f"{METRICS}: sign_reference_quat_wxyz is not four numbers") from None
+
+
+def read_run(folder: Path) -> RunResult:
+    """Read the results of a run.
+
+    Raises
+    ------
+    ResultsError
+        If the run was killed, or files are missing, damaged, or not of one run.
+    """
+    if not (folder / METRICS).exists() and (folder / f"{REGIONS}{UNFINISHED}").exists():
+        raise ResultsError(
+            f"{folder}: the run was stopped before its end; its regions until then are in "
+            f"{REGIONS}{UNFINISHED}. Run it again"
+        )
+    metrics = read_metrics(folder)
+    for name, digest in (metrics.get("results") or {}).items():
+        if not (folder / name).is_file() or hashlib.sha256((folder / name).read_bytes()).hexdigest() != digest:
+            raise ResultsError(
+                f"{folder / name}: is not the file that {METRICS} beside it was written for. Run it again"
+            )
+    result = RunResult(metrics, read_region_records(folder / REGIONS), read_trajectories(folder))
+    for name, trajectory in result.trajectories.items():
+        if not np.array_equal(trajectory.timestamps_s, result.answer.timestamps_s):
+            raise ResultsError(f"{folder}: the poses of {name} have other times than the answer. Run it again")
+    if len(result.records) != len(result.answer):
+        raise ResultsError(f"{folder}: has {len(result.answer)} poses and {len(result.records)} regions. Run it again")
+    return result
+
+
+def read_region_records(path: Path) -> list[dict[str, Any]]:
+    """Records of ``regions.jsonl``.
+
+    Raises
+    ------
+    ResultsError
+        If the file is missing or a line is not such a record; names the line.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
+    except OSError as exc:
+        raise ResultsError(f"{path}: cannot be read: {exc.strerror}") from exc
+    return [_parsed(line, f"{path}, line {number}") for number, line in enumerate(lines, start=1) if line]
+
+
+def _parsed(line: str, where: str) -> dict[str, Any]:
+    try:
+        record: dict[str, Any] = json.loads(line)
+        if set(record["intervals"]) != set(TARGET_NAMES) or not math.isfinite(record["timestamp_s"]):
+            raise KeyError("intervals")
+        if not all(isinstance(record[name], str) for name in ("frame", "motion", "evidence")):
+            raise TypeError("frame, motion and evidence must be text")
+        boxes = [place["box"] for name in ("places", "path_places") for place in record[name] or ()]
+        for low, high in [part for parts in (*record["intervals"].values(), *boxes) for part in parts]:
+            if not all(end is None or math.isfinite(end) for end in (low, high)):
+                raise ValueError(f"an interval ends at {low}, {high}")
+        record["reliable"]
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as exc:
+        raise ResultsError(f"{where}: is not a region record: {exc}") from exc
+    return record
+
+
+def read_trajectories(folder: Path) -> dict[str, Trajectory]:
+    """All trajectories of a run's folder, the answer first."""
+    configuration = read_metrics(folder).get("configuration") or {} if (folder / METRICS).exists() else {}
+    answer = PAPERS_METHOD if configuration.get("method") == Method.PAPER else METHODS[0]
+    paths = {path.stem: path for path in sorted((folder / "methods").glob("*.tum"))}
+    return {answer: read_tum(folder / TRAJECTORY)} | {name: read_tum(path) for name, path in paths.items()}
+
+
+def read_metrics(folder: Path) -> dict[str, Any]:
+    """Read ``metrics.json``."""
+    path = folder / METRICS
+    try:
+        metrics = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as exc:
+        raise ResultsError(f"{path}: cannot be read as metrics: {exc}") from exc
+    if not isinstance(metrics, dict) or not isinstance(metrics.get("configuration") or {}, dict):
+        raise ResultsError(f"{path}: is not an object with a configuration")
+    return metrics
+
+
+# ---- whose a folder is
+
+
+@contextmanager
+def lock_output(folder: Path, command: str, apart: Iterable[Path] = ()) -> Iterator[None]:
+    """Lock a folder for the results of a command; it is writable, and no file of anything else would be overwritten.
+
+    It is made if missing. Folders `apart` are read, and so must be others.
+
+    Raises
+    ------
+    FolderError
+        If it cannot be written, holds something that is not of this command, is in use, or is one of those that are
+        read.
+    """
+    for other in apart:
+        if other.is_dir() and folder.exists() and folder.samefile(other):
+            raise FolderError(f"{folder}: is read from, so results cannot be written there; take another folder")
+    with writing_in(folder):
+        owner = _owner(folder)
+        if owner not in (None, command):
+            raise FolderError(
+                f"{folder}: holds results of {owner}, which {command} would overwrite; take another folder, or empty it"
+            )
+        for name in () if owner else _FILES.get(command, ()):
+            if (folder / name).exists():
+                raise FolderError(
+                    f"{folder / name}: was not written by {command}, which would overwrite it; take another folder"
+                )
+        yield
+
+
+def _owner(folder: Path) -> str | None:
+    """The command whose results a folder holds, by its metrics, or by the first file that a command writes."""
+    try:
+        return str(json.loads((folder / METRICS).read_text(encoding="utf-8"))["command"]).split()[0]
+    except FileNotFoundError:
+        return next(
+            (who for who, names in _FILES.items() if names and who != "data" and (folder / names[0]).exists()), None
+        )
+    except (OSError, ValueError, KeyError, TypeError, IndexError, RecursionError):
+        return "another program"
