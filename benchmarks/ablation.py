@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import sys
 import time
@@ -106,7 +107,7 @@ class Models:
 
     def trained(self, name: str = OURS) -> PoseModel:
         """A model by the name of its settings."""
-        folder = self.folder / name.replace(" ", "-")
+        folder = self.folder / re.sub(r"[^a-z]+", "-", name)
         if not (folder / "model.json").is_file():
             config = config_of(self.place, self.seed, name)
             save_model(train_model(prepare_training_data(self.sequence, config, self.cache), config), folder)
