@@ -57,32 +57,24 @@ class PeerAnswers(NamedTuple):
     ms: FloatArray  # (m,) without reading the image
 
 
-def build_maps(mapped: Recording, folder: Path) -> dict[str, PeerMap]:
-    """Maps of a recording with the given poses, and with refined ones; kept in a folder."""
-    if not (folder / "refined.npz").is_file():
+def build_map(mapped: Recording, folder: Path) -> PeerMap:
+    """Map of a recording, whose poses are refined; kept in a folder."""
+    if not (folder / "map.npz").is_file():
         folder.mkdir(parents=True, exist_ok=True)
-        for name, built in _built(mapped, folder).items():
-            np.savez(folder / f"{name}.npz", **built._asdict())
-    return {name: PeerMap(**np.load(folder / f"{name}.npz")) for name in ("fixed", "refined")}
+        np.savez(folder / "map.npz", **_built(mapped, folder)._asdict())
+    return PeerMap(**np.load(folder / "map.npz"))
 
 
-def answers(maps: dict[str, PeerMap], new: Recording, frames: IntArray) -> dict[str, PeerAnswers]:
-    """Localise images of a recording in each of the maps, each image alone."""
-    sift, results = _sift(), {}
-    for name in maps:
-        n = len(frames)
-        results[name] = PeerAnswers(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros(n))
+def answers(peer: PeerMap, new: Recording, frames: IntArray) -> PeerAnswers:
+    """Localise images of a recording, each image alone."""
+    sift, n = _sift(), len(frames)
+    results = PeerAnswers(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros(n))
     for k, i in enumerate(frames.tolist()):
-        image = new.image(i)
-        began = time.process_time()
-        features = _features(sift, image, new)
-        extracting = time.process_time() - began
-        for name, peer in maps.items():
-            began = time.process_time()
-            estimate = _localized(peer, _camera(new, peer.focal), features)
-            if estimate is not None:
-                results[name].positions_xyz[k], results[name].covariances[k] = estimate
-            results[name].ms[k] = 1e3 * (extracting + time.process_time() - began)
+        image, began = new.image(i), time.process_time()
+        estimate = _localized(peer, _camera(new, peer.focal), _features(sift, image, new))
+        if estimate is not None:
+            results.positions_xyz[k], results.covariances[k] = estimate
+        results.ms[k] = 1e3 * (time.process_time() - began)
     return results
 
 
@@ -133,7 +125,7 @@ def _pairs(poses_se3: FloatArray) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def _built(mapped: Recording, folder: Path) -> dict[str, PeerMap]:
+def _built(mapped: Recording, folder: Path) -> PeerMap:
     began, frames = time.process_time(), mapped.posed[::EVERY]
     poses_se3 = mapped.poses.poses_se3[::EVERY]
     sift, camera = _sift(), _camera(mapped, np.array([mapped.camera.fx, mapped.camera.fy]))
@@ -165,10 +157,6 @@ def _built(mapped: Recording, folder: Path) -> dict[str, PeerMap]:
     )
     vlads = np.array([_vlad(words.cluster_centers_, each.descriptors) for each in features])
 
-    def kept(given: FloatArray) -> PeerMap:
-        return _kept(model, features, given, words.cluster_centers_, vlads, time.process_time() - began)
-
-    maps = {"fixed": kept(poses_se3)}
     for poses in (False, True):  # focal length and points, then poses, too
         pycolmap.bundle_adjustment(
             model,
@@ -178,7 +166,7 @@ def _built(mapped: Recording, folder: Path) -> dict[str, PeerMap]:
         )
     centres = np.array([model.images[i + 1].projection_center().ravel() for i in range(len(frames))])
     model.transform(pycolmap.estimate_sim3d(centres, poses_se3[:, :3, 3]))
-    return maps | {"refined": kept(poses_se3)}
+    return _kept(model, features, poses_se3, words.cluster_centers_, vlads, time.process_time() - began)
 
 
 def _kept(
