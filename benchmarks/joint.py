@@ -13,8 +13,8 @@ from common import SEEDS, mean_interval, parser_of, write_table
 from sklearn.ensemble import RandomForestClassifier
 
 from conformodal.conformal import QuantileBins, QuickDensity, SplitConformal
-from conformodal.conformal.learning.learners import fit_target
-from conformodal.conformal.learning.smoothing import proba_of_bins
+from conformodal.conformal.density.fitting import fit_target
+from conformodal.conformal.density.smoothing import proba_of_bins
 
 sys.path.insert(0, str(Path(__file__).with_name("peers")))
 from problems import read_table

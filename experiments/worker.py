@@ -209,7 +209,7 @@ def region_numbers(run: OdometryRun, model: PoseModel, truth: Trajectory) -> dic
     each: Regions = run.regions
     if model.method is not Method.PAPER:
         rule, parts = model.calibration, model.localizer.marginals_by_part(run.localization.beliefs)
-        single = SplitConformal(rule.bins, ALPHA, rule.score, "none").calibrate_scores(rule.scores_, rule.groups_)
+        single = SplitConformal(rule.bins, ALPHA, rule.score, "none").calibrate_scores(rule.scores_, rule.units_)
         each = Regions.concatenate([single.predict(proba) for _, proba in parts])
     return numbers(run.regions, each) | {"n_calibration": model.n_calibration, "n_test": len(targets)}
 

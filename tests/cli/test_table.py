@@ -9,8 +9,8 @@ import pytest
 from conformodal.cli.table import choose_columns
 from conformodal.cli.table_csv import CsvFormat, TableError, read_table
 from conformodal.conformal import ConformalRegressor
-from conformodal.conformal.learning import location, process, quick
-from conformodal.conformal.learning.location import boosting
+from conformodal.conformal.density import location, process, quick
+from conformodal.conformal.density.location import boosting
 from tests.helpers import invoke
 
 

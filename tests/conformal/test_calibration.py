@@ -3,7 +3,7 @@ import pytest
 from scipy import stats
 
 from conformodal.conformal import (
-    ConformalError,
+    ConformodalError,
     QuantileBins,
     SplitConformal,
     check_coverage,
@@ -52,7 +52,7 @@ def test_coverage_band_is_central_and_exact():
         lambda: coverage_band(9, 9, 0.1, 1),
         lambda: check_coverage([], 9, 0.1),
     ):
-        with pytest.raises(ConformalError):
+        with pytest.raises(ConformodalError):
             bad()
 
 

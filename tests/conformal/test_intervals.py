@@ -8,8 +8,8 @@ from scipy.stats import binom
 from sklearn.ensemble import RandomForestClassifier
 
 from conformodal.conformal import (
-    ConformalError,
     ConformalRegressor,
+    ConformodalError,
     MaxIntervals,
     QuantileBins,
     check_coverage,
@@ -86,7 +86,7 @@ def test_a_limit_on_the_intervals_keeps_coverage(k):
     regions = reg.predict_region(X)
     assert regions.n_intervals.max() == k
     assert check_coverage(regions.contains(y)[:, 0], 160, 0.1, 0.999).inside
-    with pytest.raises(ConformalError, match=r"score must be 'density', the default, with max_intervals, got 'aps'"):
+    with pytest.raises(ConformodalError, match=r"score must be 'density', the default, with max_intervals, got 'aps'"):
         fitted(max_intervals=2, score="aps")
 
 
@@ -113,8 +113,8 @@ def test_bounds_cut_the_outer_bins_and_refuse_values_beyond():
         ({"y_max": [1, 2, 3]}, r"y_max must be a number, or one per target \(2\)"),
         ({"y_min": 3, "y_max": 3}, "y_min must be below y_max, got 3 and 3"),
     ):
-        with pytest.raises(ConformalError, match=match):
+        with pytest.raises(ConformodalError, match=match):
             QuantileBins(10, **options).fit(y)
     reg, X, _ = fitted(y_min=0)
-    with pytest.raises(ConformalError, match=r"y must lie in \[0, inf\], found -1 in row 0"):
+    with pytest.raises(ConformodalError, match=r"y must lie in \[0, inf\], found -1 in row 0"):
         reg.conformalize(X[:20], np.full(20, -1.0))

@@ -15,7 +15,7 @@ def test_the_p_value_of_a_tiny_example_worked_by_hand():
     np.testing.assert_allclose(test.p_values(new), [1, (1 + 0.5 + 1) / 5, 1 / 5])
     # as large is enough
     np.testing.assert_allclose(test.p_values([3.0, 2.0, 5.0]), [(1 + 0.5 + 1) / 5, (1 + 1 + 1) / 5, 2 / 5])
-    assert (test.n_groups, test.least_p) == (4, 1 / 5)
+    assert (test.n_units, test.least_p) == (4, 1 / 5)
 
 
 @pytest.mark.parametrize("spread", [0.02, 0.5])

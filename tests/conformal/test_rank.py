@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import conformodal.conformal as cm
-from conformodal.conformal.calibration.weighted import WeightedRanks
-from conformodal.conformal.online import PastScores
+from conformodal.conformal.calibrators.online import PastScores
+from conformodal.conformal.calibrators.weighted import WeightedRanks
 
 
 def exact(n: int, thousandths: int) -> int:
@@ -19,7 +19,7 @@ def test_rank_is_exact_for_every_alpha_in_thousandths(n):
 
 
 def test_percentage_gets_a_hint():
-    with pytest.raises(cm.ConformalError, match=r"did you mean 0\.1"):
+    with pytest.raises(cm.ConformodalError, match=r"did you mean 0\.1"):
         cm.conformal_rank(10, 90)
 
 
@@ -41,9 +41,9 @@ def test_quantile_is_infinite_where_data_is_short():
 def test_quantile_counts_infinite_scores_and_refuses_nan():
     assert cm.conformal_quantile([0.1, np.inf, 0.2], 0.25) == np.inf
     assert cm.conformal_quantile([0.1, np.inf, 0.2], 0.5) == 0.2
-    with pytest.raises(cm.ConformalError, match="NaN"):
+    with pytest.raises(cm.ConformodalError, match="NaN"):
         cm.conformal_quantile([0.1, np.nan], 0.5)
-    with pytest.raises(cm.ConformalError, match="axis"):
+    with pytest.raises(cm.ConformodalError, match="axis"):
         cm.conformal_quantile(0.3, 0.5)
 
 

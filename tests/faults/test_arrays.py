@@ -80,7 +80,7 @@ ENTRIES = {
     "calibrate proba": (P, lambda p: [cm.SplitConformal(BINS, 0.2).calibrate(p, Y).thresholds_]),
     "calibrate y": (Y, lambda y: [cm.SplitConformal(BINS, 0.2).calibrate(P, y).thresholds_]),
     "calibrate_scores": (P[:, :, 0], lambda s: [cm.SplitConformal(BINS, 0.2).calibrate_scores(s).thresholds_]),
-    "fit_scale": (P, lambda p: [cm.SplitConformal(BINS, 0.2, joint="max").fit_scale(p, Y).rule.scale_]),
+    "fit_scale": (P, lambda p: [cm.SplitConformal(BINS, 0.2, joint="max").fit_scale(p, Y).scale_]),
     "p_values": (P, lambda p: [SPLIT["lac"].p_values(p, Y)]),
     "regions_at": (Y[0] / 8, lambda t: seen(SPLIT["lac"].regions_at(P, t))),
     "mondrian calibrate": (P, lambda p: list(cm.MondrianConformal(BINS, 0.2).calibrate(p, Y, G).thresholds_.values())),
@@ -100,8 +100,8 @@ ENTRIES = {
     "conformal_quantile": (W, lambda s: [cm.conformal_quantile(s, 0.2)]),
     "weighted_quantile scores": (W, lambda s: [cm.weighted_quantile(s, W, [1.0], 0.2)]),
     "weighted_quantile weights": (W, lambda w: [cm.weighted_quantile(W, w, w, 0.2)]),
-    "grouped_quantile": (W, lambda s: [cm.grouped_quantile([s, W], 0.4)]),
-    "grouped_maximum_quantile": (W, lambda s: [cm.grouped_maximum_quantile([s, W], 0.4)]),
+    "hierarchical_quantile": (W, lambda s: [cm.hierarchical_quantile([s, W], 0.4)]),
+    "hierarchical_maximum_quantile": (W, lambda s: [cm.hierarchical_maximum_quantile([s, W], 0.4)]),
     "novelty references": (X, lambda x: [cm.NoveltyTest(x, G).scores_]),
     "novelty scores": (X, lambda x: [NOVELTY.scores(x)]),
     "novelty p_values": (W, lambda s: [NOVELTY.p_values(s)]),
@@ -163,7 +163,6 @@ LONG = {  # of float64
     "frame": Frame,
     "frame of objects": lambda a: Frame(a.astype(object)),
     "tensor": torch.from_numpy,
-    "tensor with gradient": lambda a: torch.from_numpy(a.copy()).requires_grad_(),
     "memory view": memoryview,
     "unpickled": lambda a: pickle.loads(pickle.dumps(a.astype(">f8"))),
 }
@@ -172,7 +171,7 @@ SHORT = {  # of float32
     "tensor 4": lambda a: torch.from_numpy(a.copy()),
 }  # fmt: skip
 # scikit-learn has its own rules for these
-NOT_TABLES = {"tensor with gradient", "memory view"}
+NOT_TABLES = {"memory view"}
 DISGUISES = [(k, f, np.float64) for k, f in LONG.items()] + [(k, f, np.float32) for k, f in SHORT.items()]
 
 
@@ -237,7 +236,7 @@ def test_what_is_not_an_array_of_real_numbers_is_refused(entry):
         **dict.fromkeys(("regressor X", "regressor conformalize", "regressor predict"), ("NaN", "sparse")),
     }.get(entry, ())
     for damage in BAD.keys() - allowed:
-        with pytest.raises(cm.ConformalError) as told:
+        with pytest.raises(cm.ConformodalError) as told:
             call(BAD[damage](good))
         assert 0 < len(str(told.value).splitlines()[0]) < 400, damage
 
@@ -262,10 +261,6 @@ NARROW = [1e-3, 1e-30, 1e-39, 1e-45, 1e-300, 1e-310, 5e-324]
 def test_narrow_bins_give_no_infinite_density(score):
     for dtype, width in product([np.float16, np.float32, np.float64], NARROW):
         bins = cm.QuantileBins.from_edges([[0, width, 2 * width, 1]])
-        if score == "linear_density" and width == 5e-324:
-            with pytest.raises(cm.ConformalError, match="increasing"):  # a bin that float64 cannot cut
-                cm.SplitConformal(bins, 0.1, score)
-            continue
         proba = np.tile(np.array([[0.5, 0, 0.5], [0, 0, 1]], dtype), (30, 1))
         y = np.tile([0.5 * width, 0.5], 30)
         cal = cm.SplitConformal(bins, 0.1, score).calibrate(proba, y)
@@ -277,12 +272,12 @@ def test_narrow_bins_give_no_infinite_density(score):
 
 def test_plain_arrays_are_not_copied():
     cal = SPLIT["density"]
-    from conformodal.conformal.checks import as_reals, as_table
+    from conformodal.conformal.checks import as_probabilities, as_reals
 
     for dtype in (np.float32, np.float64):
         proba = P.astype(dtype)
         assert as_reals(proba, "proba") is proba
-        assert all(np.shares_memory(part, proba) for part in as_table(proba, cal.bins.sizes)[0])
+        assert all(np.shares_memory(part, proba) for part in as_probabilities(proba, cal.bins.sizes))
 
 
 with warnings.catch_warnings():
@@ -310,13 +305,12 @@ TINY = {
     "two bins, y": calibrate_on,
     "groups": lambda v: cm.MondrianConformal(TWO, 0.3).calibrate(HALVES, [0.5] * 3, v).thresholds_.values(),
     "folds": lambda v: cm.CrossConformal(TWO, 0.3).calibrate(HALVES, [0.5] * 3, v).scores_.values(),
-    "groups of split": lambda v: [cm.SplitConformal(TWO, 0.3).calibrate(HALVES, [0.5] * 3, v).n_units],
+    "units of split": lambda v: [cm.SplitConformal(TWO, 0.3).calibrate(HALVES, [0.5] * 3, v).n_units],
     "novelty of one number": lambda v: [cm.NoveltyTest([[0.0], [1.0]], [0, 1]).scores(v)],
     "three edges": lambda v: cm.QuantileBins.from_edges(v).widths,
-    "groups of scores": lambda v: [cm.grouped_quantile(v, 0.3)],
+    "units of scores": lambda v: [cm.hierarchical_quantile(v, 0.3)],
     "inside": lambda v: [cm.check_coverage(v, 9, 0.1).coverage],
     "index": lambda v: [REGIONS[v].unbounded],
-    "n_bins": lambda v: [cm.QuantileBins(v).n_bins],
     "alpha": lambda v: [float(as_alpha(v))],
     "score of a tracker": lambda v: [cm.Aci(0.1).update(v) is None],
     "regressor of three": lambda v: [tree().fit(X[:3], v).predict(X[:3])],
@@ -339,7 +333,7 @@ ANYTHING = st.one_of(
         max_leaves=6,
     ),
     st.lists(st.lists(st.sampled_from([0.0, 0.25, 0.5, 1.0]), min_size=2, max_size=2), min_size=1, max_size=3),
-    st.sampled_from([MATRIX, sparse.eye_array(2), torch.eye(2), torch.eye(2, requires_grad=True),
+    st.sampled_from([MATRIX, sparse.eye_array(2), torch.eye(2),
                      Frame(np.eye(2)), range(3), {0.5}, b"ab", np.eye(2)[::-1], np.eye(2, dtype=np.float16)]),
 )  # fmt: skip
 
@@ -353,6 +347,6 @@ ANYTHING = st.one_of(
 @example(value=[[0.5, 0.5]])
 @example(value=np.ma.array([0.5, 0.5], mask=[True, False]))
 def test_whatever_comes_in_the_answer_is_a_number_or_a_typed_error(entry, value):
-    with suppress(cm.ConformalError):
+    with suppress(cm.ConformodalError):
         for found in TINY[entry](value):
             assert np.asarray(found).dtype.kind != "f" or not np.isnan(found).any()

@@ -51,7 +51,7 @@ def test_test_frames_are_known(model, features):
         assert (p <= u).sum() <= stats.binom.ppf(0.999, len(p), u)
     assert (kinds_of(model, p) == EvidenceType.UNKNOWN).mean() < 0.05
     assert model.rules.level == 0.015
-    np.testing.assert_array_equal(model.novelty.test.groups, model.split.train)  # every training frame by itself
+    np.testing.assert_array_equal(model.novelty.test.units_, model.split.train)  # every training frame by itself
 
 
 @pytest.mark.parametrize("what", SOMETHING_ELSE)

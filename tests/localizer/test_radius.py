@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.conformal import grouped_maximum_quantile, grouped_quantile
+from conformodal.conformal import hierarchical_maximum_quantile, hierarchical_quantile
 from conformodal.geometry import Trajectory
 from conformodal.localizer.errors import LocalizationError
 from conformodal.localizer.radius import Guarantee, fit_pose_radius, pose_errors, recordings_needed
@@ -29,7 +29,10 @@ def test_errors_are_distances_and_angles():
 def test_one_threshold_holds_the_larger_of_both_errors():
     rng = np.random.default_rng(1)
     errors = [(rng.random(k), rng.random(k)) for k in rng.integers(2, 9, 30)]
-    for guarantee, quantile in ((Guarantee.FRAME, grouped_quantile), (Guarantee.RECORDING, grouped_maximum_quantile)):
+    for guarantee, quantile in (
+        (Guarantee.FRAME, hierarchical_quantile),
+        (Guarantee.RECORDING, hierarchical_maximum_quantile),
+    ):
         radius = fit_pose_radius(errors, 0.2, guarantee, "smoothed", metres_per_rad=4.0)
         scores = [np.maximum(m / 4, r) for m, r in errors]
         assert radius.radius_rad == quantile(scores, 0.2)

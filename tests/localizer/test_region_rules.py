@@ -150,7 +150,7 @@ def test_the_band_is_that_of_both_types_together(bins, n_recognised, n_new):
 
 def test_scales_of_scores_that_need_them_are_those_of_the_whole(bins):
     whole = SplitConformal(bins, 0.2, "density", "max")
-    whole.rule.loc_, whole.rule.scale_ = np.zeros(7), np.arange(1.0, 8)
+    whole.set_scale(np.arange(1.0, 8))
     scores = np.random.default_rng(0).normal(size=(60, 7))
     rules = RegionRules(whole.calibrate_scores(scores), None, np.ones(60), 0.0)
     np.testing.assert_array_equal(rules.by_type[GLOBAL].thresholds_, whole.thresholds_)

@@ -31,7 +31,7 @@ def beliefs():
 
 def rule_of(joint="max", score="hpd", alpha=0.1):
     rule = SplitConformal(BINS, alpha, score, joint)
-    rule.rule.keep_scale()
+    rule.set_scale()
     return rule
 
 

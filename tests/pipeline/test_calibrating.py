@@ -204,9 +204,9 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
     counts = np.bincount(unit[frames], minlength=5)
     if by_stretch:
         assert counts.tolist() == [40, 40, 30, 4, 0]  # all that have followers, or 200 / 5
-        np.testing.assert_array_equal(rule.groups_, unit[frames])
+        np.testing.assert_array_equal(rule.units_, unit[frames])
         assert [float(w) for w in rule.weights] == (1 / counts[unit[frames]]).tolist()
     else:
         assert counts.tolist() == [173, 18, 7, 3, 0]  # 200 in proportion to the lengths
-        assert rule.groups_ is None
+        assert rule.units_ is None
     assert len(paths["online"].scores_) == len(paths["hindsight"].scores_) == n

@@ -155,7 +155,7 @@ def test_a_model_of_other_backbone_weights_is_refused(model, tmp_path, monkeypat
         load_model(tmp_path)
 
 
-@pytest.mark.parametrize(("joint", "score"), [("max", "density"), ("none", "linear_density"), ("max", "hpd")])
+@pytest.mark.parametrize(("joint", "score"), [("max", "density"), ("none", "lac"), ("max", "hpd")])
 def test_every_joint_and_score_survives_saving_and_reasoning(sequence, small_world, tmp_path, joint, score):
     data = prepare_training_data(sequence, ModelConfig(), FeatureCache(small_world.cache))
     config = ModelConfig(alpha=0.2, joint=joint, score=score, sources=("head",), training=TrainingConfig(epochs=2))
@@ -202,8 +202,8 @@ def test_what_stretches_calibrate_survives_saving(model, tmp_path, local):
     groups, recognised = np.repeat(np.arange(20), 4), np.tile([True, True, True, False], 20)
 
     shift, scale = rng.normal(size=7), rng.uniform(1, 2, 7)
-    overall = SplitConformal(cells, 0.2, "linear_density", "max")
-    overall.rule.loc_, overall.rule.scale_ = shift, scale
+    overall = SplitConformal(cells, 0.2, "density", "max")
+    overall.set_scale(scale, shift)
     overall.calibrate_scores(rng.normal(size=(80, 7)), groups)
     rules = RegionRules(overall, recognised if local else None, rng.random(80), 0.1)
     save_model(replace(model, rules=rules, path_rules={}), tmp_path)
@@ -211,5 +211,5 @@ def test_what_stretches_calibrate_survives_saving(model, tmp_path, local):
     np.testing.assert_array_equal(back.thresholds(kinds), rules.thresholds(kinds))
     assert np.isfinite(rules.thresholds(kinds[1:3] if local else kinds[:1])).all()
     np.testing.assert_array_equal(back.recognised, rules.recognised)
-    np.testing.assert_array_equal(back.overall.groups_, groups)
+    np.testing.assert_array_equal(back.overall.units_, groups)
     np.testing.assert_array_equal(back.overall.thresholds_, overall.thresholds_)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from conformodal.conformal import grouped_quantile
+from conformodal.conformal import hierarchical_quantile
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.localizer.evidence import FrameEvidence
@@ -27,7 +27,7 @@ def trained(small_world, sequence):
 def test_thresholds_are_those_of_stretches(trained):
     model, _, folds = trained
     groups = folds.units[folds.held_out]
-    np.testing.assert_array_equal(model.calibration.groups_, groups)
+    np.testing.assert_array_equal(model.calibration.units_, groups)
     assert model.rules.recognised is None
     rule = model.rules.by_type[EvidenceType.GLOBAL]
     columns = model.calibration.scores_.max(axis=1)
@@ -35,7 +35,7 @@ def test_thresholds_are_those_of_stretches(trained):
     parts = [columns[known & (groups == g)] for g in np.unique(groups[known])]
     sizes = [int((groups == g).sum()) for g in np.unique(groups[known])]  # a frame keeps its weight in its stretch
     assert rule.n_units == len(parts) <= len(np.unique(groups))
-    np.testing.assert_array_equal(rule.thresholds_, np.full(7, grouped_quantile(parts, 0.2, sizes)))
+    np.testing.assert_array_equal(rule.thresholds_, np.full(7, hierarchical_quantile(parts, 0.2, sizes)))
     assert np.isfinite(rule.thresholds_).all()
     assert model.configuration["calibrate_on"] == "stretches"
 
@@ -46,7 +46,7 @@ def test_the_sources_of_the_region_have_seen_all_frames_that_calibrate(trained):
         np.testing.assert_array_equal(source.frames, folds.region_frames)
     both = np.concatenate((data.split.train, data.split.calibration))
     np.testing.assert_array_equal(np.sort(both), folds.region_frames)
-    np.testing.assert_array_equal(model.novelty.test.groups, folds.units[folds.region_frames])
+    np.testing.assert_array_equal(model.novelty.test.units_, folds.units[folds.region_frames])
     assert len(model.novelty.test.references) == len(folds.region_frames)
 
 
@@ -61,7 +61,7 @@ def test_stretches_are_saved_and_loaded(trained, tmp_path):
     model, data, _ = trained
     save_model(model, tmp_path)
     back = load_model(tmp_path)
-    np.testing.assert_array_equal(back.calibration.groups_, model.calibration.groups_)
+    np.testing.assert_array_equal(back.calibration.units_, model.calibration.units_)
     kinds = np.array(list(EvidenceType))
     np.testing.assert_array_equal(back.rules.thresholds(kinds), model.rules.thresholds(kinds))
     evidence = FrameEvidence(data.features[data.split.test])
@@ -72,4 +72,4 @@ def test_stretches_are_saved_and_loaded(trained, tmp_path):
     np.testing.assert_array_equal(one.regions.length, other.regions.length)
     back.recalibrate(0.5)
     assert (back.rules.thresholds(kinds[:2]) <= model.rules.thresholds(kinds[:2])).all()
-    np.testing.assert_array_equal(back.calibration.groups_, model.calibration.groups_)
+    np.testing.assert_array_equal(back.calibration.units_, model.calibration.units_)

@@ -16,7 +16,7 @@ BINS = QuantileBins.from_edges([[0, 1, 2], [0, 1, 2]])
 def model(n=60, n_recognised=20, *, infinite=0, exchangeable=True, groups=None):
     """A model calibrated on n frames, of which some are recognised and some lie beyond the training range."""
     rule = SplitConformal(BINS, 0.1, "density", "max")
-    rule.rule.keep_scale()
+    rule.set_scale()
     scores = np.random.default_rng(n).random((n, 2))
     scores[:infinite, 1] = np.inf
     rule = rule.calibrate_scores(scores, groups, None)

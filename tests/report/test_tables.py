@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from conformodal import Regions, draw_coverage, draw_regions
-from conformodal.conformal import ConformalError, PredictiveDensity, QuantileBins, SplitConformal, diagnose
+from conformodal.conformal import ConformodalError, PredictiveDensity, QuantileBins, SplitConformal, diagnose
 
 figure = pytest.importorskip("matplotlib.figure")
 BINS = QuantileBins.from_edges([[0, 1, 2, 4], [0, 5]])
@@ -35,10 +35,10 @@ def test_rows_and_unbounded_sets():
     assert boxes(draw_regions(whole, target=1)) == [[-0.25, 0, 0.5, 5], [0.5, 0, 1.25, 5]]
     assert [c.get_hatch() for c in draw_regions(whole).collections] == ["///"]
     for wrong in (lambda: draw_regions([whole]), lambda: draw_coverage(whole)):
-        with pytest.raises(ConformalError, match=r"must be (a Diagnosis|Regions, of one alpha), got"):
+        with pytest.raises(ConformodalError, match=r"must be (a Diagnosis|Regions, of one alpha), got"):
             wrong()
     for options, match in (({"x": [1.0]}, "x and regions"), ({"target": 2}, "at most 1"), ({"y": [1.0]}, "1 target")):
-        with pytest.raises(ConformalError, match=match):
+        with pytest.raises(ConformodalError, match=match):
             draw_regions(whole, **options)
 
 
@@ -53,5 +53,5 @@ def test_coverage_stands_beside_its_band():
     assert any(
         np.isclose((bar.get_x(), bar.get_width()), (check.low, check.high - check.low)).all() for bar in ax.patches
     )
-    with pytest.raises(ConformalError, match="column must be"):
+    with pytest.raises(ConformodalError, match="column must be"):
         draw_coverage(found, 1)

@@ -57,7 +57,7 @@ def describe_calibration(model: PoseModel, config: ModelConfig, n_recordings: in
     """Notes on the calibration; `n_recordings` counts those of training and calibration frames."""
     rule, n = model.calibration, model.calibration.n_units
     unit, units = ("recording", "recordings") if n == n_recordings else ("stretch", "stretches")
-    if rule.groups_ is None:
+    if rule.units_ is None:
         unit, units = "frame", "frames"
         lines = [f"regions are calibrated on the {counted(n, 'frame')} of the calibration part"]
     else:

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 import typer
 
-from conformodal.conformal import ConformalRegressor, Diagnosis
+from conformodal.conformal import ConformalRegressor, Diagnosis, PredictiveDensity, Regions
 from conformodal.conformal.checks import as_alpha
-from conformodal.conformal.learning.saving import check_replaceable
+from conformodal.conformal.saving import check_replaceable
 from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
 from conformodal.core.words import counted, listed
@@ -71,10 +71,11 @@ def table(
         report_line(note)
     test, train = np.split(np.random.default_rng(seed).permutation(len(X)), [len(X) // 5])
     joint: Any = "max" if len(target) > 1 else "none"
-    reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, groups=by, verbose=True)
+    reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, verbose=True)
+    groups = {part: X[by].iloc[rows] if by else None for part, rows in (("train", train), ("test", test))}
     with warning_lines(UserWarning, lambda text: report_line(f"note: {text}")):
-        reg.fit(X.iloc[train], y.iloc[train])
-    regions = reg.predict_region(X.iloc[test])
+        reg.fit(X.iloc[train], y.iloc[train], groups=groups["train"])
+    regions = reg.predict_region(X.iloc[test], groups=groups["test"])
     for row in sorted({*range(_SHOWN), int((regions.n_intervals > 1).any(axis=1).argmax())}):
         for name, parts in zip(target, regions.intervals(row), strict=True):
             ranges = " or ".join(f"{low:.4g} to {high:.4g}" for low, high in parts) or "no value"
@@ -82,14 +83,14 @@ def table(
             report_line(f"row {X.index[test[row]] + 1}, {name}: {ranges} (true: {true:.4g})")
     several = (regions.n_intervals > 1).any(axis=1).mean()
     report_line(f"rows with several intervals: {several:.0%}")
-    diagnosis = reg.diagnose(X.iloc[test], y.iloc[test])
+    diagnosis = reg.diagnose(X.iloc[test], y.iloc[test], groups["test"])
     for line in str(diagnosis).splitlines():
         report_line(line)
     if model is not None:
         reg.save(model)
         report_line(f"regressor: {model.resolve()}")
     if plot is not None:
-        _draw(reg, X.iloc[test], y.iloc[test], diagnosis, plot)
+        _draw(reg.predict_density(X.iloc[test]), regions, y.iloc[test], diagnosis, plot)
 
 
 def _check_outputs(plot: Path | None, model: Path | None) -> None:
@@ -109,13 +110,13 @@ def _check_outputs(plot: Path | None, model: Path | None) -> None:
                 import_module(package)
 
 
-def _draw(reg: ConformalRegressor, X: pd.DataFrame, y: pd.DataFrame, diagnosis: Diagnosis, plot: Path) -> None:
+def _draw(density: PredictiveDensity, regions: Regions, y: pd.DataFrame, diagnosis: Diagnosis, plot: Path) -> None:
     """Draw sets and density of every target over the rows, from the smallest predicted mean on, beside the coverage."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
 
     from conformodal.report.tables import draw_coverage, draw_regions  # noqa: PLC0415
 
-    density, regions, n_targets = reg.predict_density(X), reg.predict_region(X), y.shape[1]
+    n_targets = y.shape[1]
     figure = Figure(figsize=(12, 4 * n_targets), layout="constrained")
     grid = figure.subplots(n_targets, 2, squeeze=False, width_ratios=(3, 2))
     for j, (left, right) in enumerate(grid):

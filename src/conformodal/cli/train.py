@@ -131,7 +131,7 @@ def train(
     score: Annotated[
         str,
         typer.Option(
-            help="Nonconformity score: hpd, hpd_random, aps, density, linear_density, lac (the paper's).",
+            help="Nonconformity score: hpd, hpd_random, aps, density, lac (the paper's).",
             rich_help_panel=_CALIBRATION,
         ),
     ] = ModelConfig.score,

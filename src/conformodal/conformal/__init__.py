@@ -3,7 +3,7 @@
 Holds bins, scores, calibrators, regions, diagnostics and a scikit-learn estimator. Works on arrays of probabilities, so
 any classifier fits. Needs NumPy, SciPy and scikit-learn only.
 
-Invalid input raises :class:`ConformalError`, which names the argument; a prediction before calibration raises
+Invalid input raises :class:`ConformodalError`, which names the argument; a prediction before calibration raises
 :class:`NotCalibratedError`.
 """
 
@@ -12,47 +12,49 @@ from typing import TYPE_CHECKING
 from conformodal.core.extras import lazy_getattr
 
 from .bins import QuantileBins
-from .calibration.conditional import ConditionalConformal
-from .calibration.cross import CrossConformal
-from .calibration.grouped import grouped_maximum_quantile, grouped_quantile
-from .calibration.mondrian import MondrianConformal
-from .calibration.split import SplitConformal
-from .calibration.weighted import WeightedConformal, weighted_quantile
+from .calibrators.conditional import ConditionalConformal
+from .calibrators.cross import CrossConformal
+from .calibrators.drift import DriftMonitor
+from .calibrators.mondrian import MondrianConformal
+from .calibrators.online import Aci, ConformalPid, OnlineConformal
+from .calibrators.split import SplitConformal
+from .calibrators.weighted import WeightedConformal, weighted_quantile
 from .diagnostics.coverage import CoverageCheck, check_coverage, coverage_band, grouped_coverage_band
 from .diagnostics.diagnosis import Diagnosis, diagnose
-from .drift import DriftMonitor
-from .errors import ConformalError, ConformodalError, NotCalibratedError, SlowFitWarning, WholeRangeWarning
+from .errors import ConformodalError, SlowFitWarning, WholeRangeWarning
 from .intervals import MaxIntervals
 from .novelty import NoveltyTest
-from .online import Aci, ConformalPid, OnlineConformal
 from .predictive import PredictiveDensity
-from .rank import conformal_quantile, conformal_rank
+from .rank import conformal_quantile, conformal_rank, hierarchical_maximum_quantile, hierarchical_quantile
 from .regions import Regions
-from .scores import Aps, Density, Lac, LinearDensity, Score
+from .scores import Aps, Density, Lac, Score, register_score
 
 if TYPE_CHECKING:
-    from .learning.quick import QuickDensity
-    from .learning.regressor import ConformalRegressor
-    from .learning.scorers import RegionScorer, region_scorers
-    from .learning.stacked import StackedDensity
+    from .density.quick import QuickDensity
+    from .density.stack import StackedDensity
+    from .regressor import ConformalRegressor
+    from .scorers import RegionScorer, log_density, region_scorers
+    from .uncalibrated import NotCalibratedError
 
 __getattr__ = lazy_getattr(  # scikit-learn takes half a second to import
     __name__,
     {
-        "ConformalRegressor": ".learning.regressor",
-        "QuickDensity": ".learning.quick",
-        "RegionScorer": ".learning.scorers",
-        "StackedDensity": ".learning.stacked",
-        "region_scorers": ".learning.scorers",
+        "ConformalRegressor": ".regressor",
+        "NotCalibratedError": ".uncalibrated",
+        "QuickDensity": ".density.quick",
+        "RegionScorer": ".scorers",
+        "StackedDensity": ".density.stack",
+        "log_density": ".scorers",
+        "region_scorers": ".scorers",
     },
 )
 
 __all__ = [
-    "Aci", "Aps", "ConditionalConformal", "ConformalError", "ConformalPid", "ConformalRegressor", "ConformodalError",
-    "CoverageCheck", "CrossConformal", "Density", "Diagnosis", "DriftMonitor", "Lac", "LinearDensity", "MaxIntervals",
-    "MondrianConformal", "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins",
-    "QuickDensity", "RegionScorer", "Regions", "Score", "SlowFitWarning", "SplitConformal", "StackedDensity",
-    "WeightedConformal", "WholeRangeWarning", "check_coverage", "conformal_quantile", "conformal_rank", "coverage_band",
-    "diagnose", "grouped_coverage_band", "grouped_maximum_quantile", "grouped_quantile", "region_scorers",
-    "weighted_quantile",
+    "Aci", "Aps", "ConditionalConformal", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
+    "CrossConformal", "Density", "Diagnosis", "DriftMonitor", "Lac", "MaxIntervals", "MondrianConformal",
+    "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
+    "RegionScorer", "Regions", "Score", "SlowFitWarning", "SplitConformal", "StackedDensity", "WeightedConformal",
+    "WholeRangeWarning", "check_coverage", "conformal_quantile", "conformal_rank", "coverage_band", "diagnose",
+    "grouped_coverage_band", "hierarchical_maximum_quantile", "hierarchical_quantile", "log_density", "region_scorers",
+    "register_score", "weighted_quantile",
 ]  # fmt: skip

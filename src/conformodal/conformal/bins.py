@@ -12,7 +12,7 @@ from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.ranges import RANGES
 
 from .checks import as_count, as_doubles, as_number, as_targets, brief
-from .errors import ConformalError, NotCalibratedError
+from .errors import ConformodalError, not_calibrated
 
 # Half the width, relative to the value's size, of the only bin of a target that never changes.
 _CONSTANT_HALF_WIDTH = 1e-6
@@ -71,16 +71,23 @@ class QuantileBins:
         y_min: npt.ArrayLike = -np.inf,
         y_max: npt.ArrayLike = np.inf,
     ) -> None:
-        self.n_bins = as_count(n_bins, "n_bins", 1, _MOST_BINS)
-        self.margin = as_number(margin, "margin", "a share of the range, at least 0", lambda m: 0 <= m < np.inf)
-        self.tail = as_number(tail, "tail", "a share of the range, at least 0", lambda t: 0 <= t < np.inf)
+        self.n_bins = n_bins
+        self.margin = margin
+        self.tail = tail
         self.y_min, self.y_max = y_min, y_max
+
+    def check_parameters(self) -> None:
+        """Refuse parameters that are not valid; ``fit`` calls this."""
+        as_count(self.n_bins, "n_bins", 1, _MOST_BINS)
+        for name, share in (("margin", self.margin), ("tail", self.tail)):
+            as_number(share, name, "a share of the range, at least 0", lambda s: 0 <= s < np.inf)
 
     def fit(self, y: npt.ArrayLike) -> Self:
         """Place the edges at the K-quantiles of `y`, shape (n,) or (n, d)."""
+        self.check_parameters()
         arr = as_targets(y)
         if arr.shape[0] == 0:
-            raise ConformalError("y must hold at least one sample to place bins, got shape (0, d)")
+            raise ConformodalError("y must hold at least one sample to place bins, got shape (0, d)")
         self._bound(arr.shape[1])
         self.check_limits(arr)
         levels = np.linspace(0.0, 1.0, self.n_bins + 1)
@@ -104,9 +111,9 @@ class QuantileBins:
         try:
             arrays = [as_doubles(e, f"edges of target {j}").copy() for j, e in enumerate(edges)]
         except TypeError:
-            raise ConformalError(f"edges must hold one vector per target, got {type(edges).__name__}") from None
+            raise ConformodalError(f"edges must hold one vector per target, got {type(edges).__name__}") from None
         if not arrays:
-            raise ConformalError("edges must hold at least one target")
+            raise ConformodalError("edges must hold at least one target")
         for j, e in enumerate(arrays):
             _check_edges(e, f"edges of target {j}")
         bins = cls(max(e.size for e in arrays) - 1)
@@ -119,11 +126,11 @@ class QuantileBins:
         for name, given in (("y_min", self.y_min), ("y_max", self.y_max)):
             end = as_doubles(given, name)
             if end.shape not in ((), (n_targets,)) or np.isnan(end).any():
-                raise ConformalError(f"{name} must be a number, or one per target ({n_targets}), got {brief(given)}")
+                raise ConformodalError(f"{name} must be a number, or one per target ({n_targets}), got {brief(given)}")
             ends.append(np.broadcast_to(end, n_targets))
         self.limits = np.stack(ends, axis=1)
         if not (self.limits[:, 0] < self.limits[:, 1]).all():
-            raise ConformalError(f"y_min must be below y_max, got {brief(self.y_min)} and {brief(self.y_max)}")
+            raise ConformodalError(f"y_min must be below y_max, got {brief(self.y_min)} and {brief(self.y_max)}")
 
     def check_limits(self, y: FloatArray) -> None:
         """Refuse values (n, d) beyond the bounds."""
@@ -131,11 +138,11 @@ class QuantileBins:
         if beyond.any():
             row, j = np.argwhere(beyond)[0]
             low, high = self.limits[j]
-            raise ConformalError(f"y must lie in [{low:g}, {high:g}], found {y[row, j]:g} in row {row}, target {j}")
+            raise ConformodalError(f"y must lie in [{low:g}, {high:g}], found {y[row, j]:g} in row {row}, target {j}")
 
     def _edges(self) -> list[FloatArray]:
         if not hasattr(self, "edges_"):
-            raise NotCalibratedError("QuantileBins has no edges yet: call fit(y) or from_edges(edges) first")
+            raise not_calibrated("QuantileBins has no edges yet: call fit(y) or from_edges(edges) first")
         return self.edges_
 
     @property
@@ -164,9 +171,9 @@ class QuantileBins:
         fine = [np.interp(np.arange((e.size - 1) * cells + 1) / cells, np.arange(e.size), e) for e in self._edges()]
         if cells == 1:
             return self
-        found = QuantileBins.from_edges(fine)
-        found.names, found.limits = self.names, self.limits
-        return found
+        cells_of_bins = QuantileBins.from_edges(fine)
+        cells_of_bins.names, cells_of_bins.limits = self.names, self.limits
+        return cells_of_bins
 
     def encode(self, y: npt.ArrayLike) -> IntArray:
         """Codes of the bins that hold `y`: (n, d) integers, -1 outside the edges."""
@@ -204,17 +211,17 @@ class QuantileBins:
 
 def _check_edges(edges: FloatArray, what: str) -> None:
     if edges.ndim != 1 or edges.size < 2:
-        raise ConformalError(f"{what}: must be a vector of at least two, got shape {edges.shape}")
+        raise ConformodalError(f"{what}: must be a vector of at least two, got shape {edges.shape}")
     with np.errstate(over="ignore", invalid="ignore"):
         widths = np.diff(edges)
     bad = ~(np.isfinite(edges[1:]) & np.isfinite(edges[:-1]) & (widths > 0))
     if bad.any():
         at = int(np.argmax(bad))
-        raise ConformalError(
+        raise ConformodalError(
             f"{what}: must be finite and strictly increasing, found {edges[at]:g}, {edges[at + 1]:g} at {at}, {at + 1}"
         )
     if not np.isfinite(widths).all():
-        raise ConformalError(f"{what}: float64 cannot hold their distances, from {edges[0]:g} to {edges[-1]:g}")
+        raise ConformodalError(f"{what}: float64 cannot hold their distances, from {edges[0]:g} to {edges[-1]:g}")
 
 
 def _place(quantiles: FloatArray, values: FloatArray) -> FloatArray:
@@ -226,11 +233,11 @@ def _place(quantiles: FloatArray, values: FloatArray) -> FloatArray:
     repeated = edges[counts > 1]
     if repeated.size == 0:
         return edges
-    known = np.unique(values)
-    at = np.searchsorted(known, repeated)
-    above = (repeated + known[np.minimum(at + 1, known.size - 1)]) / 2
-    below = (repeated + known[np.maximum(at - 1, 0)]) / 2
+    distinct = np.unique(values)
+    at = np.searchsorted(distinct, repeated)
+    above = (repeated + distinct[np.minimum(at + 1, distinct.size - 1)]) / 2
+    below = (repeated + distinct[np.maximum(at - 1, 0)]) / 2
     below = np.where(at == 0, 2 * repeated - above, below)
-    above = np.where(at == known.size - 1, 2 * repeated - below, above)
+    above = np.where(at == distinct.size - 1, 2 * repeated - below, above)
     covered = np.searchsorted(below, edges, side="right") - np.searchsorted(above, edges, side="left")
     return np.unique(np.concatenate((edges[covered == 0], below, above)))

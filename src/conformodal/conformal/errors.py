@@ -1,4 +1,4 @@
-"""Errors and warnings of :mod:`conformodal.conformal`."""
+"""Errors and warnings of :mod:`conformodal.conformal`; the one for what is not fitted imports scikit-learn late."""
 
 from __future__ import annotations
 
@@ -7,26 +7,15 @@ from conformodal.core.errors import ConformodalError
 __all__ = ["ConformodalError"]
 
 
-class ConformalError(ConformodalError):
-    """Raised by :mod:`conformodal.conformal`: probabilities, targets, alpha or bins that cannot be used.
-
-    Examples
-    --------
-    >>> from conformodal.conformal import ConformalError, conformal_rank
-    >>> try:
-    ...     conformal_rank(99, alpha=1.5)
-    ... except ConformalError as error:
-    ...     print(error)
-    alpha must lie strictly between 0 and 1 (a miscoverage rate), got 1.5; did you mean 0.015?
-    """
-
-
-class ConformalTypeError(ConformalError, TypeError):
+class ConformodalTypeError(ConformodalError, TypeError):
     """For sparse matrices and objects, which scikit-learn expects a ``TypeError`` for."""
 
 
-class NotCalibratedError(ConformalError):
-    """A calibrator such as :class:`SplitConformal`, or bins, used before they are fitted."""
+def not_calibrated(message: str) -> ConformodalError:
+    """A ``NotCalibratedError``, to be raised."""
+    from .uncalibrated import NotCalibratedError  # noqa: PLC0415 - scikit-learn takes half a second to import
+
+    return NotCalibratedError(message)
 
 
 class SlowFitWarning(UserWarning):

@@ -6,7 +6,7 @@ import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 
-from .checks import Alpha, as_alpha, as_count, as_reals
+from .checks import Alpha, as_alpha, as_count
 from .scores import Aps
 
 # probabilities are rounded to multiples of one over this: a shortest set is exact to k of them
@@ -48,12 +48,12 @@ class MaxIntervals(Aps):
 
     def order_of(self, proba: RealArray, widths: FloatArray) -> IntArray:
         """Bins in the order in which they join the sets, (n, K)."""
-        found = np.empty(proba.shape, dtype=np.int64)
+        order = np.empty(proba.shape, dtype=np.int64)
         for start in range(0, len(proba), _ROWS_AT_ONCE):
             rows = slice(start, start + _ROWS_AT_ONCE)
-            part, own = as_reals(proba[rows], "proba").astype(np.float64), np.asarray(widths, dtype=np.float64)
-            found[rows] = _nested(part / own, shortest_sets(part, own, self._mass, self.k), self.k)
-        return found
+            part = proba[rows].astype(np.float64)
+            order[rows] = _nested(part / widths, shortest_sets(part, widths, self._mass, self.k), self.k)
+        return order
 
 
 def shortest_sets(proba: FloatArray, widths: FloatArray, mass: float, k: int) -> BoolArray:
@@ -75,20 +75,20 @@ def shortest_sets(proba: FloatArray, widths: FloatArray, mass: float, k: int) ->
     place = np.arange(n)[:, None] * (most + 1)
     for i in range(n_bins):
         rest = place + np.maximum(np.arange(most + 1) - parts[:, i, None], 0)
-        go_on = taken[1:].reshape(k, -1)[:, rest]
+        extend = taken[1:].reshape(k, -1)[:, rest]
         start = closed[:-1].reshape(k, -1)[:, rest]
-        np.less(start, go_on, out=starts[i, 1:])
-        np.add(np.minimum(go_on, start), widths[i], out=taken[1:])
+        np.less(start, extend, out=starts[i, 1:])
+        np.add(np.minimum(extend, start), widths[i], out=taken[1:])
         np.less(taken, closed, out=takes[i])
         np.minimum(closed, taken, out=closed)
     chosen, rows = np.zeros((n, n_bins), dtype=bool), np.arange(n)
     count, needed, inside = np.full(n, k), np.full(n, most), np.zeros(n, dtype=bool)
     for i in range(n_bins - 1, -1, -1):
-        own = inside | takes[i, count, rows, needed]
-        chosen[:, i] = own
-        first = own & starts[i, count, rows, needed]
-        needed = np.where(own, np.maximum(needed - parts[:, i], 0), needed)
-        count, inside = count - first, own & ~first
+        taken_now = inside | takes[i, count, rows, needed]
+        chosen[:, i] = taken_now
+        first = taken_now & starts[i, count, rows, needed]
+        needed = np.where(taken_now, np.maximum(needed - parts[:, i], 0), needed)
+        count, inside = count - first, taken_now & ~first
     return chosen
 
 
@@ -102,9 +102,9 @@ def _nested(density: FloatArray, anchor: BoolArray, k: int) -> IntArray:
             rows = np.flatnonzero(turn < n_bins if grow else turn >= 0)
             if not rows.size:
                 break
-            own, beside = mask[rows, 1:-1], mask[rows, 2:].astype(np.int8) + mask[rows, :-2]
-            spare = ((own & ~mask[rows, :-2]).sum(axis=1) < k)[:, None]
-            free = ~own & ((beside > 0) | spare) if grow else own & ((beside < 2) | spare)
+            inside, beside = mask[rows, 1:-1], mask[rows, 2:].astype(np.int8) + mask[rows, :-2]
+            spare = ((inside & ~mask[rows, :-2]).sum(axis=1) < k)[:, None]
+            free = ~inside & ((beside > 0) | spare) if grow else inside & ((beside < 2) | spare)
             worth = np.where(free, density[rows] if grow else -density[rows], -np.inf)
             # an infinite density is as good as the largest
             bin_ = np.where(free, np.nan_to_num(worth), -np.inf).argmax(axis=1)

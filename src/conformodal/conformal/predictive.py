@@ -11,8 +11,8 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray
 
 from .bins import QuantileBins
-from .checks import Probabilities, as_count, as_number, as_random, as_table, as_targets, column_names
-from .errors import ConformalError
+from .checks import Probabilities, as_count, as_number, as_probabilities, as_random, as_targets, column_names
+from .errors import ConformodalError
 from .regions import Regions
 
 
@@ -39,7 +39,7 @@ class PredictiveDensity:
 
     def __init__(self, bins: QuantileBins, proba: Probabilities) -> None:
         self.bins = bins
-        self.proba: Sequence[FloatArray] = [part.astype(np.float64) for part in as_table(proba, bins.sizes)[0]]
+        self.proba: Sequence[FloatArray] = [part.astype(np.float64) for part in as_probabilities(proba, bins.sizes)]
         self._below = [np.pad(np.cumsum(part, axis=1), ((0, 0), (1, 0))) for part in self.proba]
 
     def __len__(self) -> int:
@@ -81,7 +81,7 @@ class PredictiveDensity:
     def probabilities(self, regions: Regions, i: int) -> list[FloatArray]:
         """Probability of every interval of ``regions.intervals(i)``: d arrays (m,)."""
         if len(regions) != len(self) or regions.bins.n_targets != self.bins.n_targets:
-            raise ConformalError(f"regions must be of the same {len(self)} samples and targets, got {regions!r}")
+            raise ConformodalError(f"regions must be of the same {len(self)} samples and targets, got {regions!r}")
         found = []
         for j, ends in enumerate(regions.intervals(i)):
             reached = [self._reached(j, np.full(len(self), end))[i] for end in ends.ravel()]
@@ -92,7 +92,7 @@ class PredictiveDensity:
         column_names(y, "y", self.bins.names)
         values = as_targets(y, self.bins.n_targets)
         if len(values) != len(self):
-            raise ConformalError(f"y has {len(values)} rows, the densities have {len(self)}")
+            raise ConformodalError(f"y has {len(values)} rows, the densities have {len(self)}")
         return values
 
     def _reached(self, j: int, values: FloatArray) -> FloatArray:

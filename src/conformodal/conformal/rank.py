@@ -1,14 +1,22 @@
-"""The rank of split conformal prediction, computed exactly (the paper, section 2; Vovk et al. 2005)."""
+"""Thresholds from calibration scores, computed exactly: of samples, or of units such as recordings.
+
+Sources: the paper, section 2; Vovk et al. (2005); for units whose members are not exchangeable with each other, Lee,
+Barber and Willett (2023), "Distribution-free inference with hierarchical data".
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+from math import lcm
 
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import RealArray
+from conformodal.core.arrays import FloatArray, RealArray
 
-from .checks import Alpha, as_alpha, as_count, as_scores
-from .errors import ConformalError
+from .checks import Alpha, as_alpha, as_count, as_doubles, as_scores, brief
+from .errors import ConformodalError
 
 
 def conformal_rank(n: int, alpha: Alpha) -> int:
@@ -66,11 +74,83 @@ def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> Re
     """
     arr = as_scores(scores)
     if arr.ndim == 0:
-        raise ConformalError("scores must have at least one axis, got a scalar")
-    axis = as_count(axis, "axis", -arr.ndim, arr.ndim - 1)
-    arr = np.moveaxis(arr, axis, 0)
+        raise ConformodalError("scores must have at least one axis, got a scalar")
+    arr = np.moveaxis(arr, as_count(axis, "axis", -arr.ndim, arr.ndim - 1), 0)
     n = arr.shape[0]
     k = conformal_rank(n, alpha)
     if k > n:
         return np.full(arr.shape[1:], np.inf, dtype=arr.dtype)
     return np.asarray(np.partition(arr, k - 1, axis=0)[k - 1])
+
+
+def hierarchical_quantile(units: Sequence[npt.ArrayLike], alpha: Alpha, sizes: Sequence[int] | None = None) -> float:
+    """Threshold that a member of a new unit, drawn at random, exceeds with probability at most `alpha`.
+
+    Every unit has the same weight, shared by its members; the new unit counts as ``+inf``. If units are exchangeable
+    (their members need not be), coverage is guaranteed in a new unit, on average over its members. Sums are exact.
+    With units of one this is :func:`~conformodal.conformal_quantile`.
+
+    Parameters
+    ----------
+    units
+        K vectors of nonconformity scores, none empty; ``+inf`` is allowed.
+    alpha
+        Miscoverage rate in (0, 1).
+    sizes
+        (K,) sizes of the whole units if only members of one category are given: each member keeps its weight in the
+        whole unit, and a member of a new unit is of the category and beyond the threshold with probability at most
+        `alpha` times the weight of the category. By default all members are given.
+
+    Returns
+    -------
+    float
+        One of the scores, or ``+inf`` if the members weigh less than ``1 / alpha - 1`` whole units.
+
+    Examples
+    --------
+    >>> hierarchical_quantile([[1, 2, 3, 9], [2, 2, 8], [4, 5]], alpha=0.4)
+    5.0
+    """
+    rate = as_alpha(alpha)
+    arrays = _as_units(units)
+    if not arrays:
+        return float("inf")
+    scores = np.concatenate(arrays)
+    order = np.argsort(scores, kind="stable")
+    counts = [a.size for a in arrays]
+    members = counts if sizes is None else [as_count(size, f"size of unit {i}") for i, size in enumerate(sizes)]
+    if len(members) != len(counts) or any(m < c for m, c in zip(members, counts, strict=True)):
+        raise ConformodalError(f"sizes must be at least those of the units, {counts}, got {members}")
+    # in units of 1 / whole, so that every member's weight is a whole number
+    whole = lcm(*members)
+    weights = np.repeat(np.array([whole // m for m in members], dtype=object), counts)
+    total = sum(whole // m * c for m, c in zip(members, counts, strict=True))
+    need = -((total + whole) * (rate.numerator - rate.denominator) // rate.denominator)
+    for at, reached in zip(order, accumulate(weights[order]), strict=True):
+        if reached >= need:
+            return float(scores[at])
+    return float("inf")
+
+
+def hierarchical_maximum_quantile(units: Sequence[npt.ArrayLike], alpha: Alpha) -> float:
+    """Threshold that all members of a new unit keep below with probability at least ``1 - alpha``.
+
+    The conformal quantile of the units' maxima; parameters and result as for :func:`hierarchical_quantile`.
+
+    Examples
+    --------
+    >>> hierarchical_maximum_quantile([[1, 2, 3, 9], [2, 2, 8], [4, 5]], alpha=0.5)
+    8.0
+    """
+    return float(conformal_quantile([a.max() for a in _as_units(units)], alpha))
+
+
+def _as_units(units: Sequence[npt.ArrayLike]) -> list[FloatArray]:
+    try:
+        arrays = [as_doubles(as_scores(unit, f"unit {i}"), f"unit {i}") for i, unit in enumerate(units)]
+    except TypeError:
+        raise ConformodalError(f"units must hold one vector of scores per unit, got {brief(units)}") from None
+    for i, array in enumerate(arrays):
+        if array.ndim != 1 or array.size == 0:
+            raise ConformodalError(f"unit {i} must be a vector of at least one score, got shape {array.shape}")
+    return arrays

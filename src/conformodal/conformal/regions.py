@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
-from conformodal.core.extras import require_extra
 
 from .bins import QuantileBins
-from .checks import as_array, as_count, as_doubles, as_flags, as_targets, brief, column_names
-from .errors import ConformalError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
+from .checks import as_count, as_doubles, as_flags, as_targets, brief, column_names
+from .errors import ConformodalError
 
 
 class Regions:
@@ -37,20 +31,18 @@ class Regions:
     """
 
     def __init__(self, bins: QuantileBins, masks: Sequence[BoolArray] | BoolArray, unbounded: BoolArray) -> None:
-        if not isinstance(masks, (list, tuple)):
-            masks = as_flags(masks, "masks", np.ndim(masks))
         if isinstance(masks, np.ndarray):
             masks = list(np.moveaxis(masks, 1, 0)) if masks.ndim == 3 else [masks]
         masks = [as_flags(mask, f"mask of target {j}", 2) for j, mask in enumerate(masks)]
         unbounded = as_flags(unbounded, "unbounded", 2)
         if len(masks) != bins.n_targets:
-            raise ConformalError(f"masks must hold one array per target ({bins.n_targets}), got {len(masks)}")
+            raise ConformodalError(f"masks must hold one array per target ({bins.n_targets}), got {len(masks)}")
         n = masks[0].shape[0]
         for j, (mask, k) in enumerate(zip(masks, bins.sizes, strict=True)):
             if mask.shape != (n, k):
-                raise ConformalError(f"mask of target {j} must be boolean ({n}, {k}), got {mask.dtype} {mask.shape}")
+                raise ConformodalError(f"mask of target {j} must be boolean ({n}, {k}), got {mask.dtype} {mask.shape}")
         if unbounded.shape != (n, bins.n_targets):
-            raise ConformalError(f"unbounded must have shape ({n}, {bins.n_targets}), got {unbounded.shape}")
+            raise ConformodalError(f"unbounded must have shape ({n}, {bins.n_targets}), got {unbounded.shape}")
         anywhere = np.atleast_1d(unbounded.any(axis=0))
         self.bins = bins
         self.masks = [mask | unbounded[:, j, None] if anywhere[j] else mask for j, mask in enumerate(masks)]
@@ -65,16 +57,15 @@ class Regions:
     def __getitem__(self, index: slice | BoolArray | npt.NDArray[np.integer]) -> Regions:
         """Regions of some of the samples: a slice, a boolean mask or an array of positions."""
         if not isinstance(index, slice):
-            index = as_array(index, "index")
-            if index.ndim != 1 or (index.dtype.kind not in "biu" and index.size):
-                raise ConformalError(
-                    f"regions are indexed by a slice or a vector, got {brief(index)}; intervals(i) gives one's"
-                )
-            if not index.size:
-                index = np.empty(0, np.int64)
+            try:
+                index = np.asarray(index, dtype=None if np.size(index) else np.int64)
+            except ValueError:
+                raise ConformodalError(f"index must be a slice or a vector, got {brief(index)}") from None
+            if index.ndim != 1 or index.dtype.kind not in "biu":
+                raise ConformodalError(f"index must be a slice or a vector, got {brief(index)}")
             n = len(self)
             if index.shape != (n,) if index.dtype == np.bool_ else ((index < -n) | (index >= n)).any():
-                raise ConformalError(f"index does not fit {n} regions, got {brief(index)}")
+                raise ConformodalError(f"index does not fit {n} regions, got {brief(index)}")
         return Regions(self.bins, [m[index] for m in self.masks], self.unbounded[index])
 
     @classmethod
@@ -82,10 +73,10 @@ class Regions:
         """Regions of all the samples of `parts`, which must have the same bins, in order."""
         parts = list(parts) if isinstance(parts, Iterable) else []
         if not parts or not all(isinstance(part, Regions) for part in parts):
-            raise ConformalError(f"parts must hold at least one Regions, and nothing else, got {brief(parts)}")
+            raise ConformodalError(f"parts must hold at least one Regions, and nothing else, got {brief(parts)}")
         edges = [part.bins.edges_ for part in parts]
         if any(len(e) != len(edges[0]) or not all(map(np.array_equal, e, edges[0])) for e in edges):
-            raise ConformalError("regions over different bins cannot be combined: refit, or use the same bins")
+            raise ConformodalError("regions over different bins cannot be combined: refit, or use the same bins")
         masks = [np.concatenate([p.masks[j] for p in parts]) for j in range(parts[0].bins.n_targets)]
         return cls(parts[0].bins, masks, np.concatenate([p.unbounded for p in parts]))
 
@@ -94,7 +85,7 @@ class Regions:
         column_names(y, "y", self.bins.names)
         values = as_targets(y, n_targets=self.bins.n_targets)
         if values.shape[0] != len(self):
-            raise ConformalError(f"y has {values.shape[0]} rows, the regions have {len(self)}")
+            raise ConformodalError(f"y has {values.shape[0]} rows, the regions have {len(self)}")
         codes, at = self.bins.encode(values), np.arange(len(self))
         held = [mask[at, code] & (code >= 0) for mask, code in zip(self.masks, codes.T, strict=True)]
         low, high = self.bins.limits.T
@@ -114,17 +105,17 @@ class Regions:
             ends = as_doubles(function(given), "values of function")
         ends = ends[:, None] if ends.ndim == 1 else ends
         if ends.shape != given.shape:
-            raise ConformalError(f"function must return values of shape {given.shape}, got {ends.shape}")
+            raise ConformodalError(f"function must return values of shape {given.shape}, got {ends.shape}")
         if not np.isfinite(ends).all():
             row, j = np.argwhere(~np.isfinite(ends))[0]
             found = f"got {ends[row, j]:g} at {given[row, j]:g}, target {j}: bound them by y_min= and y_max="
-            raise ConformalError(f"function must be finite at all edges of the bins, {found}")
+            raise ConformodalError(f"function must be finite at all edges of the bins, {found}")
         steps = [slice(None, None, 1 if end[0] < end[-1] else -1) for end in ends.T]
         for j, (end, e, step) in enumerate(zip(ends.T, edges, steps, strict=True)):
             for at in np.flatnonzero(np.diff(end[: e.size]) * step.step <= 0)[:1]:
                 found = f"{end[at]:g}, {end[at + 1]:g} at {e[at]:g}, {e[at + 1]:g}, target {j}"
                 hint = "bound them by y_min= and y_max="
-                raise ConformalError(f"function must be strictly monotone, found {found}: {hint}")
+                raise ConformodalError(f"function must be strictly monotone, found {found}: {hint}")
         bins = QuantileBins.from_edges([end[: e.size][s] for end, e, s in zip(ends.T, edges, steps, strict=True)])
         bins.names = self.bins.names
         return Regions(bins, [mask[:, s] for mask, s in zip(self.masks, steps, strict=True)], self.unbounded)
@@ -140,11 +131,11 @@ class Regions:
         An interval holds its lower end; it holds its upper end only if that is the target's last edge.
         """
         i = self._row(i)
-        found = []
+        intervals = []
         for j, (edges, runs) in enumerate(zip(self.bins.edges_, self.runs(i), strict=True)):
             whole = self.bins.limits[j : j + 1]
-            found.append(whole.copy() if self.unbounded[i, j] else edges[runs])
-        return found
+            intervals.append(whole.copy() if self.unbounded[i, j] else edges[runs])
+        return intervals
 
     def flat_intervals(self, target: int = 0) -> tuple[IntArray, FloatArray]:
         """All intervals of one target: offsets (n + 1,) and ends (m, 2), the bins' limits where unbounded.
@@ -159,7 +150,7 @@ class Regions:
 
     def _row(self, i: int) -> int:
         if len(self) == 0:
-            raise ConformalError(f"there is no sample {brief(i)}: the regions hold none")
+            raise ConformodalError(f"there is no sample {brief(i)}: the regions hold none")
         return as_count(i, "i, a sample,", -len(self), len(self) - 1) % len(self)
 
     @property
@@ -196,24 +187,6 @@ class Regions:
     def empty(self) -> BoolArray:
         """Whether each set is empty, (n, d)."""
         return np.stack([~mask.any(axis=1) for mask in self.masks], axis=1)
-
-    def to_arrow(self) -> pa.Table:
-        """As an Arrow table with one row per sample; needs the extra ``arrow``.
-
-        Columns, named as the targets or ``target_J``, are of ``list<fixed_size_list<double>[2]>`` and hold the sorted,
-        disjoint intervals: the bins' limits if unbounded, an empty list for an empty set. The schema's metadata holds
-        the edges as JSON, key ``conformodal.edges``.
-        """
-        with require_extra("arrow", "an Arrow table"):
-            import pyarrow as pa  # noqa: PLC0415
-        columns = []
-        for j in range(self.bins.n_targets):
-            offsets, ends = self.flat_intervals(j)
-            pairs = pa.FixedSizeListArray.from_arrays(pa.array(ends.ravel().astype(np.float64, copy=False)), 2)
-            columns.append(pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pairs))
-        edges = json.dumps([e.tolist() for e in self.bins.edges_]).encode()
-        names = self.bins.names or [f"target_{j}" for j in range(len(columns))]
-        return pa.table(columns, names=names).replace_schema_metadata({b"conformodal.edges": edges})
 
 
 def _flat_runs(mask: BoolArray) -> tuple[IntArray, IntArray]:

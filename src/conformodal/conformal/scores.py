@@ -8,8 +8,8 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray, RealArray
 
-from .checks import as_choice, as_count, as_number, as_reals, brief
-from .errors import ConformalError
+from .checks import as_choice, as_count, as_number, brief
+from .errors import ConformodalError
 
 
 @runtime_checkable
@@ -19,9 +19,8 @@ class Score(Protocol):
     ``of_bins`` takes one target's probabilities (n, K) and bin widths (K,) and returns the scores (n, K), in the
     probabilities' own floating type. A row's scores may depend on that row only.
 
-    Three attributes are optional. ``cells`` (int): the score cuts every bin into that many equal cells and returns
-    (n, K * cells). ``normalised`` (bool): scores of different targets are comparable, so that one threshold over all of
-    them needs no scales. ``per_unit`` (bool): scores have a unit, one over that of the target.
+    Two attributes are optional. ``normalised`` (bool): scores of different targets are comparable, so that one
+    threshold over all of them needs no scales. ``per_unit`` (bool): scores have a unit, one over that of the target.
     """
 
     name: str
@@ -49,7 +48,7 @@ class Lac:
 
     def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """``1 - proba``."""
-        return np.asarray(1 - as_reals(proba, "proba"))
+        return np.asarray(1 - proba)
 
 
 class Density:
@@ -72,51 +71,7 @@ class Density:
 
     def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """``-proba / widths``."""
-        proba = as_reals(proba, "proba")
         return np.asarray(proba * -_per_unit(widths, proba.dtype))
-
-
-class LinearDensity:
-    """Minus the density, linear between bin centres instead of constant in each bin.
-
-    Every bin is cut into equal cells, each scored at its middle, so that an interval may end within a bin. Beyond the
-    outermost centres the density is constant.
-
-    Parameters
-    ----------
-    cells
-        Cells per bin, at least 1.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from conformodal.conformal import LinearDensity
-    >>> proba, widths = np.array([[0.5, 0.3, 0.2]]), np.array([2.0, 1.0, 1.0])
-    >>> LinearDensity(cells=2).of_bins(proba, widths)  # two cells per bin
-    array([[-0.25      , -0.26666667, -0.29166667, -0.275     , -0.225     ,
-            -0.2       ]])
-    """
-
-    name = "linear_density"
-    per_unit = True
-
-    def __init__(self, cells: int = 4) -> None:
-        self.cells = as_count(cells, "cells", 1)
-
-    def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
-        """Minus the interpolated density at the middle of every cell, (n, K * cells)."""
-        proba = as_reals(proba, "proba")
-        density = proba * _per_unit(widths, proba.dtype)
-        if widths.size == 1:
-            return np.repeat(-density, self.cells, axis=1)
-        edges = np.concatenate(([0.0], np.cumsum(widths)))
-        centers = (edges[1:] + edges[:-1]) / 2
-        middles = np.interp((np.arange(widths.size * self.cells) + 0.5) / self.cells, np.arange(edges.size), edges)
-        left = np.clip(np.searchsorted(centers, middles) - 1, 0, widths.size - 2)
-        apart = np.diff(centers)[left]  # 0 where a bin is lost beside the others' widths
-        share = np.divide(middles - centers[left], apart, out=np.ones_like(middles), where=apart > 0)
-        share = np.clip(share, 0, 1).astype(proba.dtype)
-        return np.asarray(-(density[:, left] * (1 - share) + density[:, left + 1] * share))
 
 
 def _per_unit(widths: FloatArray, dtype: np.dtype[Any]) -> RealArray:
@@ -187,7 +142,6 @@ class Aps:
 
     def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """Probability ranked before the bin, plus the row's random share of the bin's own."""
-        proba = as_reals(proba, "proba")
         order = self.order_of(proba, widths)
         ranked = np.take_along_axis(proba, order, axis=1)
         share = (
@@ -203,7 +157,7 @@ class Aps:
     def order_of(self, proba: RealArray, widths: FloatArray) -> IntArray:
         """Bins from the best to the worst, (n, K)."""
         with np.errstate(over="ignore"):  # infinite densities rank first
-            keys = proba if self.order == "probability" else proba / as_reals(widths, "widths")
+            keys = proba if self.order == "probability" else proba / widths
         return np.argsort(-keys, axis=1, kind="stable")
 
 
@@ -218,29 +172,35 @@ def row_uniforms(rows: RealArray, seed: int = 0) -> FloatArray:
     return np.asarray(((hashed ^ (hashed >> np.uint64(31))) >> np.uint64(11)) * 2.0**-53)
 
 
-BUILT_IN = (Lac, Density, LinearDensity, Aps)
+BUILT_IN = (Lac, Density, Aps)
 _MIDDLE = Aps("density", randomized=False, own_share=0.5)
-SCORES: dict[str, Score] = {
-    score.name: score for score in (Lac(), Density(), LinearDensity(), Aps(), Aps("density"), _MIDDLE)
-}
+SCORES: dict[str, Score] = {score.name: score for score in (Lac(), Density(), Aps(), Aps("density"), _MIDDLE)}
+
+
+def register_score(score: Score) -> Score:
+    """Make a score known by its name, to all that take the name of a score.
+
+    Examples
+    --------
+    >>> from conformodal.conformal import Aps, register_score
+    >>> register_score(Aps(seed=1, randomized=False, own_share=0.9)).name
+    'aps_fixed'
+    """
+    SCORES[score.name] = resolve_score(score)
+    return score
 
 
 def resolve_score(score: str | Score) -> Score:
     """A score object for a name from :data:`SCORES`, or the object itself."""
     if isinstance(score, str):
         if score not in SCORES:
-            raise ConformalError(f"score must be one of {sorted(SCORES)} or a Score object, got {brief(score)}")
+            raise ConformodalError(f"score must be one of {sorted(SCORES)} or a Score object, got {brief(score)}")
         return SCORES[score]
     if isinstance(score, type) or not callable(getattr(score, "of_bins", None)):
-        raise ConformalError(f"score must be a name or an object with of_bins(proba, widths), got {brief(score)}")
+        raise ConformodalError(f"score must be a name or an object with of_bins(proba, widths), got {brief(score)}")
     return score
 
 
 def is_per_unit(score: Score) -> bool:
     """Whether scores have a unit, one over that of the target."""
     return bool(getattr(score, "per_unit", False))
-
-
-def cells_of(score: Score) -> int:
-    """Cells into which `score` cuts every bin."""
-    return as_count(getattr(score, "cells", 1), "cells of the score", 1)

@@ -10,7 +10,7 @@ from math import ceil
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal import grouped_maximum_quantile, grouped_quantile
+from conformodal.conformal import hierarchical_maximum_quantile, hierarchical_quantile
 from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.ranges import as_member
@@ -133,12 +133,12 @@ def fit_pose_radius(
     ------
     LocalizationError
         If `metres_per_rad` is not positive and finite, or there is no such `guarantee`.
-    ConformalError
+    ConformodalError
         If a recording has no frames, errors are NaN, or `alpha` is outside (0, 1).
     """
     check_metres_per_rad(metres_per_rad)
     guarantee = as_member(guarantee, Guarantee, "guarantee", LocalizationError)
     scores = [joint_error(metres, np.asarray(radians), metres_per_rad) for metres, radians in errors]
-    quantile = grouped_quantile if guarantee is Guarantee.FRAME else grouped_maximum_quantile
+    quantile = hierarchical_quantile if guarantee is Guarantee.FRAME else hierarchical_maximum_quantile
     limit = quantile(scores, alpha)
     return PoseRadius(limit, float(as_alpha(alpha)), guarantee, method, len(errors), metres_per_rad)

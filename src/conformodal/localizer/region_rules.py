@@ -111,9 +111,10 @@ def part_of(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:
     """A rule calibrated on some of its frames (n,) alone."""
     part = SplitConformal(rule.bins, rule.alpha, rule.score, rule.joint, rule.empty)
     if rule.joint == "max":
-        part.rule.loc_, part.rule.scale_ = rule.rule.loc_, rule.rule.scale_
-    if rule.groups_ is None:
+        loc, scale = rule.scales()
+        part.set_scale(scale, loc)
+    if rule.units_ is None:
         return part.calibrate_scores(rule.scores_[chosen])
     # a frame keeps its weight in its stretch, so that the guarantees of all types add up to that of a new stretch
-    _, group, counts = np.unique(rule.groups_, return_inverse=True, return_counts=True)
-    return part.calibrate_scores(rule.scores_[chosen], rule.groups_[chosen], counts[group][chosen])
+    _, group, counts = np.unique(rule.units_, return_inverse=True, return_counts=True)
+    return part.calibrate_scores(rule.scores_[chosen], rule.units_[chosen], counts[group][chosen])

@@ -194,7 +194,7 @@ def pose_scores(
     if rule.joint != "max":
         return scores
     columns = [rule.scores_of(p, w) for p, w in zip(proba, rule.bins.widths, strict=True)]
-    loc, scale = rule.rule.loc_, rule.rule.scale_
+    loc, scale = rule.scales()
     scaled = [(column - a) / b for column, a, b in zip(columns, loc, scale, strict=True)]
     codes, in_shares = rule.bins.encode(targets), _in_shares(rule)
     least = np.full(len(scores), np.inf)
@@ -219,4 +219,4 @@ def _highest_between(row: FloatArray, at: int, cells: IntArray) -> FloatArray:
 
 def _in_shares(rule: SplitConformal) -> bool:
     """Whether thresholds are shares of the belief, as levels of hypotheses are."""
-    return rule.joint == "max" and bool(getattr(rule.score, "normalised", False))
+    return rule.joint == "max" and bool(getattr(rule.score_, "normalised", False))

@@ -8,11 +8,12 @@ from copy import copy
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
+from typing import cast
 
 import numpy as np
 
-from conformodal.conformal import QuantileBins, SplitConformal, grouped_quantile
-from conformodal.conformal.calibration.joint import Joint, as_joint
+from conformodal.conformal import QuantileBins, SplitConformal, hierarchical_quantile
+from conformodal.conformal.calibrators.base import Joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import is_per_unit
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, evenly_spread, rows_by_label
@@ -81,13 +82,12 @@ def calibrate_regions(
 
     def rule(cells: QuantileBins, joint: Joint) -> SplitConformal:
         made = SplitConformal(cells, config.alpha, config.score, joint)
-        made.rule.keep_scale()
-        if is_per_unit(made.score) and joint == "max":
-            # by the targets' spread, which does not depend on calibration frames
-            made.rule.scale_ = 1 / np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9)
-        return made
+        if not is_per_unit(made.score_) or joint != "max":
+            return made.set_scale()
+        # by the targets' spread, which does not depend on calibration frames
+        return made.set_scale(1 / np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9))
 
-    asked = as_joint(config.joint)
+    asked = cast(Joint, config.joint)
     joints: list[Joint] = [asked, "max"] if asked == "bonferroni" else [asked]
     scores: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
     found: list[Beliefs] = []
@@ -152,9 +152,9 @@ def calibrate_disturbed(
         paths, stage = [sequence.image_paths[i] for i in frames], stage_of(progress, "disturbed images")
         features = extract_features(paths, backbone, cache, stage, sequence.noise)
         beliefs = localizer.beliefs(FrameEvidence(features, copies))
-        own = SplitConformal(localizer.cells, rules.overall.alpha, rules.overall.score, rules.overall.joint)
-        own.rule = rules.overall.rule
-        scores = score_beliefs(own, localizer, beliefs, data.targets[frames])
+        scorer = copy(rules.overall)
+        scorer.bins = localizer.cells
+        scores = score_beliefs(scorer, localizer, beliefs, data.targets[frames])
         pieces = None if folds.units is None else folds.pieces[frames]
         beyond = np.array([its.out_of_range for its in localizer.supports(beliefs)])
         ranked = novelty.ranked(novelty.distances(features, pieces), beliefs.recognition)
@@ -240,7 +240,7 @@ def _thresholds(
     wrong: FloatArray,
 ) -> tuple[dict[str, SplitConformal], float]:
     """What :func:`calibrate_paths` gives, from the answers of the folds and the probabilities (n,) of wrong places."""
-    labels, paths, reliable_p = overall.groups_, {}, FILTER.reliable
+    labels, paths, reliable_p = overall.units_, {}, FILTER.reliable
     for path, parts in answered.items():
         if not parts:
             continue
@@ -258,7 +258,7 @@ def _reliable_p(wrong: FloatArray, labels: IntArray | None) -> float:
     """From the probabilities (n,) of places of held-out frames: of wrong ones whose region misses, -inf of others."""
     unit = np.unique(np.arange(len(wrong)) if labels is None else labels, return_inverse=True)[1]
     streams = [wrong[unit == k] for k in range(unit.max() + 1)]
-    least = grouped_quantile(streams, max(Fraction(FILTER.sure_and_wrong), Fraction(1, len(streams) + 1)))
+    least = hierarchical_quantile(streams, max(Fraction(FILTER.sure_and_wrong), Fraction(1, len(streams) + 1)))
     return min(max(FILTER.reliable, float(np.nextafter(least, 2.0))), FILTER.most_reliable)
 
 
@@ -282,12 +282,12 @@ def compare_sources(
         beliefs, p = own.beliefs(images), np.ones(len(rows))
         if novelty is not None:
             p = novelty.p_values(images.features, beliefs.recognition)
-        scorer = SplitConformal(own.cells, rules.overall.alpha, rules.overall.score, rules.overall.joint)
-        scorer.rule = rules.overall.rule
+        scorer = copy(rules.overall)
+        scorer.bins = own.cells
         scores = score_beliefs(scorer, own, beliefs, data.targets[frames[rows]])
         kinds = rules.kinds(p, beliefs.recognised)
         held = np.asarray((scores <= rules.thresholds(kinds)).all(axis=1))
-        return held, rules.overall.rule.columns(scores).mean(axis=1), kinds != EvidenceType.UNKNOWN
+        return held, rules.overall.columns(scores).mean(axis=1), kinds != EvidenceType.UNKNOWN
 
     n = len(frames)
     by_model, score, shown = answered(localizer, np.arange(n))
@@ -323,7 +323,7 @@ def paper_rules(data: SourceData, held_out: IntArray, localizer: Localizer, conf
     """The paper's calibration (section 2): bins of the softmax, each target at alpha, one evidence type."""
     _check_unseen(localizer, held_out)
     proba = localizer.beliefs(FrameEvidence(data.features[held_out])).proba
-    rule = SplitConformal(localizer.bins, config.alpha, config.score, as_joint(config.joint))
+    rule = SplitConformal(localizer.bins, config.alpha, config.score, cast(Joint, config.joint))
     rule.calibrate(proba, data.targets[held_out])
     return RegionRules(rule, None, np.ones(len(held_out)), 0.0)
 

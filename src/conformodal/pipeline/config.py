@@ -8,8 +8,8 @@ from enum import StrEnum
 from typing import Any, Self
 
 from conformodal.conformal import QuantileBins
-from conformodal.conformal.calibration.joint import as_joint
-from conformodal.conformal.checks import as_alpha
+from conformodal.conformal.calibrators.base import Joint
+from conformodal.conformal.checks import as_alpha, as_choice
 from conformodal.conformal.scores import resolve_score
 from conformodal.core.ranges import as_member, check_ranges, check_shares
 from conformodal.features.networks.registry import check_network
@@ -91,7 +91,7 @@ class ModelConfig:
 
     Raises
     ------
-    ConformalError, LocalizationError, OdometryError, VisionError
+    ConformodalError, LocalizationError, OdometryError, VisionError
         If a setting cannot be used; before any frame is read.
     """
 
@@ -121,9 +121,9 @@ class ModelConfig:
         check_ranges(vars(self), OdometryError)
         check_shares(self.test, self.calibration, self.used, OdometryError)
         object.__setattr__(self, "alpha", float(as_alpha(self.alpha)))
-        as_joint(self.joint)
+        as_choice(self.joint, Joint, "joint")
         resolve_score(self.score)
-        QuantileBins(self.n_bins, self.margin)
+        QuantileBins(self.n_bins, self.margin).check_parameters()
         check_network(self.network)
         check_device(self.device)
         if not self.sources or len(set(self.sources)) < len(self.sources):

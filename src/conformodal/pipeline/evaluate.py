@@ -119,7 +119,7 @@ def coverage_table(
     kinds = [(kind, rule, int((statistics.kinds == kind).sum())) for kind, rule in rules.by_type.items()]
     met = [(rule.n_units, count) for _, rule, count in kinds if count]
     met += [(0, int((statistics.kinds == EvidenceType.UNKNOWN).sum()))]  # always covered
-    by_frame = rules.overall.groups_ is None
+    by_frame = rules.overall.units_ is None
     one_law = exchangeable and by_frame
     # those that left the range of qualities by chance are not exchangeable with disturbed ones
     one_law = one_law and not (statistics.kinds == EvidenceType.DISTURBED).any()
@@ -132,7 +132,7 @@ def coverage_table(
         "alpha": float(calibration.alpha),
         "joint": calibration.joint,
         "alpha_per_target": float(calibration.alpha_per_target),
-        "score": calibration.score.name,
+        "score": calibration.score_.name,
         "n_calibration": model.n_calibration,
         "n_evaluated": len(statistics),
         "unbounded": bool(statistics.unbounded[statistics.kinds != EvidenceType.UNKNOWN].any()),
@@ -198,7 +198,7 @@ def path_coverage_table(
 
     `online` and `truth` are the poses that a robot got and the true ones, `reliable` whether each counted as reliable.
     """
-    by_frame = model.rules.overall.groups_ is None
+    by_frame = model.rules.overall.units_ is None
     found: dict[str, Any] = {
         path: {
             "coverage": float(its.held.mean()),

@@ -45,7 +45,7 @@ PAPERS_METHOD = "greedy"
 def path_rule(cells: QuantileBins, alpha: Alpha) -> SplitConformal:
     """The rule of regions from posteriors, yet to be calibrated: all targets together."""
     rule = SplitConformal(cells, alpha, "hpd", "max")
-    rule.rule.keep_scale()
+    rule.set_scale()
     return rule
 
 
@@ -250,7 +250,7 @@ class PoseModel:
 
         Raises
         ------
-        ConformalError
+        ConformodalError
             If `alpha` is outside (0, 1).
         """
         self.rules = self.rules.at(alpha)

@@ -83,7 +83,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "sources": [{"name": name, "settings": state.settings} for name, state in states.items()],
         "calibration": {
             "alpha": model.alpha,
-            "score": rules.overall.score.name,
+            "score": rules.overall.score_.name,
             "joint": rules.overall.joint,
             "novelty_level": rules.level,
             "reliable_p": model.reliable_p,
@@ -119,14 +119,14 @@ def _calibration_arrays(model: PoseModel) -> dict[str, AnyArray]:
     }
     if rules.recognised is not None:
         arrays["calibration.recognised"] = rules.recognised
-    if rules.overall.groups_ is not None:
-        arrays["calibration.groups"] = rules.overall.groups_
+    if rules.overall.units_ is not None:
+        arrays["calibration.groups"] = rules.overall.units_
     for path, rule in model.path_rules.items():
         arrays[f"calibration.{path}"] = rule.scores_.max(axis=1)
-        if rule.groups_ is not None and rule.group_sizes_ is not None:
-            arrays |= {f"calibration.{path}_groups": rule.groups_, f"calibration.{path}_sizes": rule.group_sizes_}
+        if rule.units_ is not None and rule.unit_sizes_ is not None:
+            arrays |= {f"calibration.{path}_groups": rule.units_, f"calibration.{path}_sizes": rule.unit_sizes_}
     if rules.overall.joint == "max":
-        arrays |= {"calibration.shift": rules.overall.rule.loc_, "calibration.scale": rules.overall.rule.scale_}
+        arrays["calibration.shift"], arrays["calibration.scale"] = rules.overall.scales()
     return arrays
 
 
@@ -134,12 +134,12 @@ def _novelty_arrays(model: PoseModel) -> dict[str, AnyArray]:
     novelty, rules = model.novelty, model.rules
     if novelty is None:
         return {}
-    arrays = {"novelty.references": novelty.test.references, "novelty.groups": novelty.test.groups}
+    arrays = {"novelty.references": novelty.test.references, "novelty.groups": novelty.test.units_}
     if novelty.matched is not None:
-        arrays |= {"novelty.matched": novelty.matched.scores_, "novelty.matched_groups": novelty.matched.groups}
+        arrays |= {"novelty.matched": novelty.matched.scores_, "novelty.matched_groups": novelty.matched.units_}
     disturbed = novelty.disturbed
     if disturbed and rules.disturbed is not None and rules.disturbed_p is not None and model.quality is not None:
-        arrays |= {"novelty.disturbed": disturbed.scores_, "novelty.disturbed_groups": disturbed.groups}
+        arrays |= {"novelty.disturbed": disturbed.scores_, "novelty.disturbed_groups": disturbed.units_}
         arrays["calibration.disturbed"] = rules.disturbed.scores_
         arrays["calibration.disturbed_p"] = rules.disturbed_p
         arrays["quality"] = np.stack((model.quality.low, model.quality.high))
@@ -270,7 +270,7 @@ def _rules(
     rules = RegionRules(overall, recognised, known_p, float(how["novelty_level"]))
     if novelty is None or novelty.disturbed is None:
         return rules
-    groups = None if overall.groups_ is None else novelty.disturbed.groups
+    groups = None if overall.units_ is None else novelty.disturbed.units_
     disturbed = copy(overall).calibrate_scores(arrays["calibration.disturbed"], groups)
     return replace(rules, disturbed=disturbed, disturbed_p=arrays["calibration.disturbed_p"])
 
@@ -278,7 +278,7 @@ def _rules(
 def _calibration(bins: QuantileBins, how: dict[str, Any], arrays: dict[str, AnyArray]) -> SplitConformal:
     calibration = SplitConformal(bins, float(how["alpha"]), how["score"], how["joint"])
     if calibration.joint == "max":
-        calibration.rule.loc_, calibration.rule.scale_ = arrays["calibration.shift"], arrays["calibration.scale"]
+        calibration.set_scale(arrays["calibration.scale"], arrays["calibration.shift"])
     return calibration.calibrate_scores(arrays["calibration.overall"], arrays.get("calibration.groups"))
 
 

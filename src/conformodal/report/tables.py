@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal import ConformalError, Diagnosis, PredictiveDensity, Regions
+from conformodal.conformal import ConformodalError, Diagnosis, PredictiveDensity, Regions
 from conformodal.conformal.checks import as_count, as_finite, as_targets
 from conformodal.core.extras import require_extra
 
@@ -51,12 +51,14 @@ def draw_regions(
         Axes to draw on; None makes a new figure, ``ax.figure``.
     """
     if not isinstance(regions, Regions):
-        raise ConformalError(f"regions must be Regions, of one alpha, got {type(regions).__name__}")
+        raise ConformodalError(f"regions must be Regions, of one alpha, got {type(regions).__name__}")
     n, target = len(regions), as_count(target, "target", 0, regions.bins.n_targets - 1)
     at = np.arange(n, dtype=np.float64) if x is None else as_finite(x, "x", "(n,)")
     for name, given in (("x", at), ("density", at if density is None else density)):
         if len(given) != n or n == 0:
-            raise ConformalError(f"{name} and regions must be of the same samples, at least one, got {len(given)}, {n}")
+            raise ConformodalError(
+                f"{name} and regions must be of the same samples, at least one, got {len(given)}, {n}"
+            )
     ax = Figure(layout="constrained").subplots() if ax is None else ax
     order, edges = np.argsort(at, kind="stable"), regions.bins.edges_[target]
     middles = (at[order][1:] + at[order][:-1]) / 2
@@ -107,7 +109,7 @@ def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None)
         Axes to draw on; None makes a new figure, ``ax.figure``.
     """
     if not isinstance(diagnosis, Diagnosis):
-        raise ConformalError(f"diagnosis must be a Diagnosis, got {type(diagnosis).__name__}")
+        raise ConformodalError(f"diagnosis must be a Diagnosis, got {type(diagnosis).__name__}")
     found = diagnosis.columns[as_count(column, "column", 0, len(diagnosis.columns) - 1)]
     ax = Figure(layout="constrained").subplots() if ax is None else ax
     draw_column(ax, found)

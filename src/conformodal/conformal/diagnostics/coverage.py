@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.checks import Alpha, as_count, as_doubles, as_flags, as_number
-from conformodal.conformal.errors import ConformalError
-from conformodal.conformal.grouping import as_groups, factorise
+from conformodal.conformal.checks import Alpha, as_count, as_doubles, as_flags, as_labels, as_number, factorise
+from conformodal.conformal.errors import ConformodalError
 from conformodal.conformal.rank import conformal_rank
 
 
@@ -88,10 +87,10 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     try:
         groups = [(as_count(n, "calibration samples"), as_count(m, "test samples")) for n, m in groups]
     except (TypeError, ValueError) as exc:
-        raise ConformalError(f"groups must hold pairs of numbers of samples: {exc}") from None
+        raise ConformodalError(f"groups must hold pairs of numbers of samples: {exc}") from None
     n_test = sum(m for _, m in groups)
     if n_test < 1:
-        raise ConformalError(f"a coverage band needs test samples, got {list(groups)}")
+        raise ConformodalError(f"a coverage band needs test samples, got {list(groups)}")
     level = as_number(level, "level", "strictly between 0 and 1", lambda p: 0 < p < 1)
     from scipy.stats import betabinom  # noqa: PLC0415 - half a second to import
 
@@ -131,7 +130,7 @@ def check_coverage(inside: npt.ArrayLike, n_calibration: int, alpha: Alpha, leve
     """
     arr = as_flags(inside, "inside", 1)
     if arr.size == 0:
-        raise ConformalError(f"inside must be a vector with at least one sample, got shape {arr.shape}")
+        raise ConformodalError(f"inside must be a vector with at least one sample, got shape {arr.shape}")
     low, high = coverage_band(n_calibration, arr.size, alpha, level)
     rank = conformal_rank(n_calibration, alpha)
     return CoverageCheck(int(arr.sum()), arr.size, n_calibration, rank, low, high, level)
@@ -153,14 +152,11 @@ def coverage_by_group(
     ``G (1 - level)`` fall outside by chance.
     """
     held = as_flags(inside, "inside", 1)
-    labels, codes = factorise(as_groups(groups, held.size))
-    names = [str(label) for label in labels]
-    if len(set(names)) < len(names):  # 1 and "1"
-        names = [repr(label) for label in labels]
-    own = n_calibration if isinstance(n_calibration, Mapping) else dict.fromkeys(labels, n_calibration)
+    labels, codes = factorise(as_labels(groups, held.size))
+    sizes = n_calibration if isinstance(n_calibration, Mapping) else dict.fromkeys(labels, n_calibration)
     return {
-        name: check_coverage(held[codes == k], own.get(label, 0), alpha, level)
-        for k, (name, label) in enumerate(zip(names, labels, strict=True))
+        str(label): check_coverage(held[codes == k], sizes.get(label, 0), alpha, level)
+        for k, label in enumerate(labels)
     }
 
 
@@ -182,21 +178,20 @@ def coverage_by_size(
     """
     held, values = as_flags(inside, "inside", 1), as_doubles(sizes, "sizes")
     if values.shape != held.shape:
-        raise ConformalError(f"sizes must have shape {held.shape}, one per sample, got {values.shape}")
+        raise ConformodalError(f"sizes must have shape {held.shape}, one per sample, got {values.shape}")
     if np.isnan(values).any():
-        raise ConformalError("sizes must not hold NaN")
+        raise ConformodalError("sizes must not hold NaN")
     strata = as_count(strata, "strata", 1)
     values = np.array([float(f"{v:.12g}") for v in values])  # sums of the same widths in another order are one size
     ranked = np.sort(values)
     strata = min(strata, max(values.size, 1))
     cuts = np.unique(ranked[(np.arange(1, strata) * values.size) // strata])
     stratum = np.searchsorted(cuts, values, side="right")
-    found = {}
+    checks = {}
     for s in np.unique(stratum):
-        own = stratum == s
-        low, high = values[own].min(), values[own].max()
+        rows = stratum == s
+        low, high = values[rows].min(), values[rows].max()
         name = f"{low:.4g} to {high:.4g}" if low < high else f"{low:.4g}"
-        found[name if name not in found else f"{low!r} to {high!r}"] = check_coverage(
-            held[own], n_calibration, alpha, level
-        )
-    return found
+        name = name if name not in checks else f"{low!r} to {high!r}"
+        checks[name] = check_coverage(held[rows], n_calibration, alpha, level)
+    return checks

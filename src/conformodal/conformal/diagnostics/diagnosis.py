@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.calibration.joint import Joint
-from conformodal.conformal.calibration.mondrian import MondrianConformal
-from conformodal.conformal.calibration.split import SplitConformal
+from conformodal.conformal.calibrators.base import Joint
+from conformodal.conformal.calibrators.mondrian import MondrianConformal
+from conformodal.conformal.calibrators.split import SplitConformal
 from conformodal.conformal.checks import Alpha, Probabilities, as_targets, brief
-from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.errors import ConformodalError
 from conformodal.conformal.regions import Regions
 from conformodal.core.words import counted
 
@@ -53,7 +53,7 @@ class SizeSummary:
 def summarise_sizes(regions: Regions) -> list[SizeSummary]:
     """One summary per target."""
     if len(regions) == 0:
-        raise ConformalError("regions must hold at least one sample to be summarised")
+        raise ConformodalError("regions must hold at least one sample to be summarised")
     counts = regions.n_intervals
     found = []
     for length, count, whole in zip(regions.length.T, counts.T, regions.unbounded.T, strict=True):
@@ -217,27 +217,29 @@ def diagnose(
     """
     if isinstance(calibrator, MondrianConformal):
         if groups is None:
-            raise ConformalError("groups are needed to check a MondrianConformal")
+            raise ConformodalError("groups are needed to check a MondrianConformal")
         regions = calibrator.predict(proba, groups)
     elif isinstance(calibrator, SplitConformal):
         regions = calibrator.predict(proba)
     else:
         hint = "for others, check_coverage takes what their regions contain"
-        raise ConformalError(f"calibrator must be Split- or MondrianConformal, got {type(calibrator).__name__}; {hint}")
+        raise ConformodalError(
+            f"calibrator must be Split- or MondrianConformal, got {type(calibrator).__name__}; {hint}"
+        )
     values = as_targets(y, n_targets=calibrator.bins.n_targets)
     if values.shape[0] == 0:
-        raise ConformalError("y must hold at least one test sample")
+        raise ConformodalError("y must hold at least one test sample")
     inside, given = regions.contains(values), names
     if given is None:
         given = calibrator.bins.names or [f"target {j}" for j in range(inside.shape[1])]
     targets = tuple(map(str, given if isinstance(given, Iterable) and not isinstance(given, str) else []))
     if len(targets) != inside.shape[1]:
-        raise ConformalError(f"names must hold one name per target ({inside.shape[1]}), got {brief(given)}")
+        raise ConformodalError(f"names must hold one name per target ({inside.shape[1]}), got {brief(given)}")
     guarantees = zip(targets, inside.T, regions.length.T, strict=True)
     if calibrator.joint == "max":
         guarantees = zip(["all targets"], [inside.all(axis=1)], [regions.volume], strict=True)
     scores = calibrator.scores_, calibrator.score_samples(proba, values)
-    calibration, test = map(calibrator.rule.columns, scores)
+    calibration, test = map(calibrator.columns, scores)
     law: Any = {"n_calibration": len(scores[0]), "alpha": calibrator.alpha_per_target, "level": level}
     columns = []
     for j, (name, held, size) in enumerate(guarantees):
@@ -254,6 +256,6 @@ def diagnose(
         uniformity = check_uniformity(calibration[:, j], test[:, j], random_state=random_state)
         columns.append(ColumnDiagnosis(name, whole, by_size, by_group, slab, uniformity))
     sizes, together = tuple(summarise_sizes(regions)), float(inside.all(axis=1).mean())
-    about = calibrator.alpha, calibrator.joint, calibrator.score.name
+    about = calibrator.alpha, calibrator.joint, calibrator.score_.name
     within = isinstance(calibrator, MondrianConformal)
     return Diagnosis(tuple(columns), targets, sizes, together, *about, len(scores[0]), len(values), within)

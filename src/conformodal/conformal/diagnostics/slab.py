@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.checks import Alpha, as_count, as_doubles, as_flags, as_number, as_random
-from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.errors import ConformodalError
 from conformodal.core.arrays import AnyArray, BoolArray, FloatArray
 
 from .coverage import CoverageCheck, check_coverage
@@ -49,15 +49,15 @@ def worst_slab(
     """
     inside, inputs = as_flags(inside, "inside", 1), as_doubles(X, "X")
     if inputs.ndim != 2 or inputs.shape[0] != inside.size or not inputs.shape[1] or not np.isfinite(inputs).all():
-        raise ConformalError(f"X must be finite, of shape ({inside.size}, p), got shape {inputs.shape}")
+        raise ConformodalError(f"X must be finite, of shape ({inside.size}, p), got shape {inputs.shape}")
     if inside.size < 2:
-        raise ConformalError(f"a slab needs at least 2 samples, one for either half, got {inside.size}")
+        raise ConformodalError(f"a slab needs at least 2 samples, one for either half, got {inside.size}")
     mass = as_number(mass, "mass", "a share in (0, 1]", lambda share: 0 < share <= 1)
     directions, random = as_count(directions, "directions"), as_random(random_state)
     with np.errstate(over="ignore", invalid="ignore"):
         spread = inputs.std(axis=0)
     if not np.isfinite(spread).all():
-        raise ConformalError(f"X is too large for float64 to hold its spread, up to {np.abs(inputs).max():g}")
+        raise ConformodalError(f"X is too large for float64 to hold its spread, up to {np.abs(inputs).max():g}")
     scaled = np.divide(inputs, spread, out=np.zeros_like(inputs), where=spread > 0)
     order = random.permutation(len(inputs))
     first, second = np.split(order, [min(len(order) // 2, _MOST_CHOOSE)])
@@ -65,11 +65,11 @@ def worst_slab(
     tried = np.concatenate((np.eye(inputs.shape[1]), tried / np.linalg.norm(tried, axis=1, keepdims=True)))
     least = max(1, int(np.ceil(mass * first.size)))
     slabs = (_lowest_slab(inside[first], scaled[first] @ direction, least) for direction in tried)
-    found, (_, low, high) = min(enumerate(slabs), key=lambda one: one[1][0])
-    at = scaled[second] @ tried[found]
-    own = inside[second][(low <= at) & (at <= high)]
-    check = check_coverage(own, n_calibration, alpha, level) if own.size else None
-    return SlabCheck(tried[found], low, high, check)
+    best, (_, low, high) = min(enumerate(slabs), key=lambda one: one[1][0])
+    at = scaled[second] @ tried[best]
+    held = inside[second][(low <= at) & (at <= high)]
+    check = check_coverage(held, n_calibration, alpha, level) if held.size else None
+    return SlabCheck(tried[best], low, high, check)
 
 
 def _lowest_slab(inside: BoolArray, at: FloatArray, least: int) -> tuple[float, float, float]:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.checks import as_count, as_doubles, as_random
-from conformodal.conformal.errors import ConformalError
+from conformodal.conformal.errors import ConformodalError
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
 # samples of either kind that are tested; of more, as many drawn at random
@@ -39,26 +39,26 @@ def check_uniformity(
 
     Source: Bates, Candes, Lei, Romano and Sesia (2023) on the dependence; Dwass (1957) on Monte Carlo p-values.
     """
-    known, new = as_doubles(calibration_scores, "calibration_scores"), as_doubles(test_scores, "test_scores")
-    for name, scores in (("calibration_scores", known), ("test_scores", new)):
+    old, new = as_doubles(calibration_scores, "calibration_scores"), as_doubles(test_scores, "test_scores")
+    for name, scores in (("calibration_scores", old), ("test_scores", new)):
         if scores.ndim != 1 or scores.size == 0 or np.isnan(scores).any():
-            raise ConformalError(f"{name} must be a vector without NaN, at least one score, got shape {scores.shape}")
+            raise ConformodalError(f"{name} must be a vector without NaN, at least one score, got shape {scores.shape}")
     repeats, random = as_count(repeats, "repeats", 1), as_random(random_state)
-    p_values = np.sort((1 + _ranked(known, new, random)[1]) / (known.size + 1))
-    known, new = (random.choice(s, min(s.size, _MOST_TESTED), replace=False) for s in (known, new))
-    is_new, larger = _ranked(known, new, random)
-    n = known.size
+    p_values = np.sort((1 + _ranked(old, new, random)[1]) / (old.size + 1))
+    old, new = (random.choice(s, min(s.size, _MOST_TESTED), replace=False) for s in (old, new))
+    is_new, larger = _ranked(old, new, random)
+    n = old.size
     observed = _distance(larger, n)
     simulated = [_distance(_larger(random.permutation(is_new), n), n) for _ in range(repeats)]
     extreme = 1 + int(np.sum(np.array(simulated) >= observed))
     return UniformityCheck(observed, extreme / (repeats + 1), p_values, n, new.size)
 
 
-def _ranked(known: FloatArray, new: FloatArray, random: np.random.RandomState) -> tuple[BoolArray, IntArray]:
+def _ranked(old: FloatArray, new: FloatArray, random: np.random.RandomState) -> tuple[BoolArray, IntArray]:
     """Which of all scores (n + m,), in their order, are new, ties broken at random; and what :func:`_larger` gives."""
-    is_new = np.arange(known.size + new.size) >= known.size
-    ranked = is_new[np.lexsort((random.random_sample(is_new.size), np.concatenate((known, new))))]
-    return ranked, _larger(ranked, known.size)
+    is_new = np.arange(old.size + new.size) >= old.size
+    ranked = is_new[np.lexsort((random.random_sample(is_new.size), np.concatenate((old, new))))]
+    return ranked, _larger(ranked, old.size)
 
 
 def _larger(is_new: BoolArray, n: int) -> IntArray:

@@ -1,0 +1,324 @@
+"""Online conformal prediction for sequences that drift: trackers turn a stream of scores into thresholds.
+
+Trackers: adaptive conformal inference and conformal PID control.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, insort
+from collections import deque
+from collections.abc import Callable
+from fractions import Fraction
+from math import ceil, inf, pi, sqrt, tan
+from sys import float_info
+from typing import Protocol, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal.bins import QuantileBins
+from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, as_count, as_doubles, as_number, brief
+from conformodal.conformal.errors import ConformodalError
+from conformodal.conformal.regions import Regions
+from conformodal.conformal.scores import Score
+from conformodal.core.arrays import FloatArray, RealArray
+
+from .base import Calibrator, Empty
+
+# a quarter of the largest float, so that sums of forecast, tracked and integral stay finite
+_MOST = float_info.max / 4
+
+
+class PastScores:
+    """Scores seen so far, or the last `window` of them."""
+
+    def __init__(self, window: int | None = None) -> None:
+        if window is not None:
+            window = as_count(window, "window, in scores or None for all,", 1)
+        self._order: deque[float] = deque()
+        self._sorted: list[float] = []
+        self.window = window
+
+    def __len__(self) -> int:
+        return len(self._sorted)
+
+    def add(self, score: float) -> None:
+        """Add a score; the oldest one beyond the window is dropped."""
+        insort(self._sorted, score)
+        self._order.append(score)
+        if self.window is not None and len(self._order) > self.window:
+            del self._sorted[bisect_left(self._sorted, self._order.popleft())]
+
+    def threshold(self, alpha: Fraction | float) -> float:
+        """The score of rank ``ceil((n + 1)(1 - alpha))``, exactly: ``inf`` beyond n, ``-inf`` below 1."""
+        k = ceil((len(self) + 1) * (1 - Fraction(alpha)))
+        if k > len(self):
+            return inf
+        return self._sorted[k - 1] if k >= 1 else -inf
+
+    def spread(self) -> float:
+        """Largest less smallest finite score, at most the largest float; 1 if there is none."""
+        finite = bisect_left(self._sorted, inf)
+        low = bisect_left(self._sorted, -inf)
+        width = self._sorted[finite - 1] - self._sorted[low] if finite > low else 0.0
+        return min(width, float_info.max) if width > 0 else 1.0
+
+
+def as_score(score: float) -> float:
+    """Return a score as a float."""
+    if type(score) is float and score == score:  # noqa: PLR0124 - not NaN
+        return score
+    return as_number(score, "score", "a number and not NaN (what cannot be scored scores +inf)", lambda s: s == s)  # noqa: PLR0124
+
+
+class Aci:
+    """Adaptive conformal inference on a stream of scores (Gibbs and Candes 2021).
+
+    After every score ``alpha_t`` moves by ``gamma (alpha - missed)``. For any sequence, even an adversarial one, the
+    share of misses over T steps differs from alpha by at most ``(max(alpha, 1 - alpha) + gamma) / (T gamma)`` (there,
+    proposition 4.1). For this, the threshold is ``+inf`` (unbounded) if ``alpha_t`` is below 0, and ``-inf`` (the empty
+    set, which misses every score, ``-inf`` too) from 1 on. Nothing is guaranteed about the size of the sets or any part
+    of the sequence: against scores just above the threshold, nine sets in ten are unbounded at alpha = 0.1.
+
+    Parameters
+    ----------
+    alpha
+        Miscoverage rate in (0, 1).
+    gamma
+        Step of alpha, above 0.
+    window
+        Past scores to rank among; None for all: memory and time per step then grow with the stream, by about 40 bytes
+        per score and, beyond a million scores, a millisecond per step. The bound holds for any window.
+
+    Attributes
+    ----------
+    alpha_t : Fraction
+        The current rate; may lie outside [0, 1].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import Aci
+    >>> tracker, missed = Aci(alpha=0.1, gamma=0.02), []
+    >>> for score in np.random.default_rng(0).normal(np.linspace(0, 5, 1000)):  # drifts
+    ...     missed.append(score > tracker.threshold())
+    ...     tracker.update(score)
+    >>> bool(abs(np.mean(missed) - 0.1) <= (0.9 + 0.02) / (1000 * 0.02))
+    True
+    """
+
+    def __init__(self, alpha: Alpha = 0.1, gamma: float = 0.005, window: int | None = None) -> None:
+        self.alpha = as_alpha(alpha)
+        as_number(gamma, "gamma", "above 0, and finite", lambda step: 0 < step < inf)
+        self.gamma = Fraction(str(gamma))
+        self.alpha_t = self.alpha
+        self.past = PastScores(window)
+
+    def threshold(self) -> float:
+        """Threshold for the next score."""
+        return self.past.threshold(self.alpha_t)
+
+    def update(self, score: float) -> None:
+        """Learn the score."""
+        value = as_score(score)
+        missed = value > self.threshold() or self.alpha_t >= 1  # the empty set misses -inf too
+        self.alpha_t += self.gamma * (self.alpha - int(missed))
+        self.past.add(value)
+
+
+class ConformalPid:
+    """Conformal PID control (Angelopoulos, Candes and Tibshirani 2023).
+
+    It tracks a quantile (P) and integrates the error (I); the source's forecast (D) is left out.
+
+    The threshold is ``tracked + integral``. `tracked` moves by ``rate * spread * (missed - alpha)`` after
+    every score, `spread` being the range of the last `window` scores. The integral is
+    ``integral_gain * spread * tan(E / (saturation sqrt(t)))``, E the sum of ``missed - alpha`` over t scores; where its
+    argument leaves (-pi/2, pi/2) it is infinite, and the set unbounded, or empty (it then misses every score).
+
+    For any sequence, the share of misses over T steps differs from alpha by at most
+    ``(pi/2 saturation sqrt(T) + 1) / T``. This is the source's theorem 1 with the saturation ``h(t) = sqrt(t)``; as the
+    integral saturates at infinity, scores may be unbounded. With the source's ``t / log(t)`` the bound would be useless
+    for millions of steps. Without the integral (``integral_gain=0``) nothing is guaranteed: the source's bound for the
+    quantile tracker alone needs bounded scores and a fixed step.
+
+    Parameters
+    ----------
+    alpha
+        Miscoverage rate in (0, 1).
+    rate
+        Step of the quantile tracker, as a share of the scores' range.
+    integral_gain
+        Strength of the integral, as a share of the scores' range; 0 turns it off, and the bound with it.
+    saturation
+        The larger, the later the integral saturates and the larger the bound.
+    window
+        Scores whose range sets the steps; None for all: memory then grows with the stream.
+    start
+        Threshold before the first score; None gives unbounded sets until then.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import ConformalPid
+    >>> tracker, missed = ConformalPid(alpha=0.1), []
+    >>> for score in np.random.default_rng(0).normal(np.linspace(0, 5, 1000)):  # drifts
+    ...     missed.append(score > tracker.threshold())
+    ...     tracker.update(score)
+    >>> bool(abs(np.mean(missed) - 0.1) <= (np.pi / 2 * np.sqrt(1000) + 1) / 1000)
+    True
+    """
+
+    def __init__(
+        self,
+        alpha: Alpha = 0.1,
+        rate: float = 0.1,
+        integral_gain: float = 0.1,
+        saturation: float = 1.0,
+        window: int | None = 100,
+        start: float | None = None,
+    ) -> None:
+        for name, value in (("rate", rate), ("saturation", saturation)):
+            as_number(value, name, "above 0, and finite", lambda v: 0 < v < inf)
+        as_number(integral_gain, "integral_gain", "at least 0, and finite", lambda v: 0 <= v < inf)
+        self.alpha = as_alpha(alpha)
+        self.rate = float(rate)
+        self.integral_gain = float(integral_gain)
+        self.saturation = float(saturation)
+        self.tracked = None if start is None else as_number(start, "start", "finite", lambda v: abs(v) <= _MOST)
+        self.error = 0 * self.alpha
+        self.steps = 0
+        self.past = PastScores(window)
+
+    def threshold(self) -> float:
+        """Threshold for the next score."""
+        if self.tracked is None:
+            return inf
+        integral = self._integral()
+        return integral if abs(integral) == inf else _clipped(self.tracked + integral)
+
+    def update(self, score: float) -> None:
+        """Learn the score."""
+        value = as_score(score)
+        limit = self.threshold()
+        missed = int(value > limit or limit == -inf)  # the empty set misses -inf too
+        self.past.add(value)
+        if self.tracked is None:
+            self.tracked = value if abs(value) < inf else 0.0
+        self.error += missed - self.alpha
+        self.tracked = _clipped(self.tracked + self.rate * self.past.spread() * float(missed - self.alpha))
+        self.steps += 1
+
+    def _integral(self) -> float:
+        if self.integral_gain == 0 or self.steps == 0:
+            return 0.0
+        angle = float(self.error) / sqrt(self.steps) / self.saturation
+        if abs(angle) >= pi / 2:
+            return inf if angle > 0 else -inf
+        return _clipped(self.integral_gain * self.past.spread() * tan(angle))
+
+
+def _clipped(value: float) -> float:
+    return min(max(value, -_MOST), _MOST)
+
+
+class Tracker(Protocol):
+    """A method that turns a stream of scores into thresholds, one before each score."""
+
+    def threshold(self) -> float:
+        """Threshold for the next score; ``inf`` for an unbounded set, ``-inf`` for the empty set."""
+        ...
+
+    def update(self, score: float) -> None:
+        """Learn the score."""
+        ...
+
+
+METHODS: dict[str, Callable[[Alpha], Tracker]] = {"aci": Aci, "pid": ConformalPid}
+
+
+class OnlineConformal:
+    """Regions for a sequence: predict, see the truth, update.
+
+    For any sequence, the share of misses of a target over T samples differs from alpha by at most
+
+    - ``(max(alpha, 1 - alpha) + 0.005) / (0.005 T)`` with ``"aci"`` (:class:`Aci`),
+    - ``(pi/2 sqrt(T) + 1) / T`` with ``"pid"`` (:class:`ConformalPid`).
+
+    Nothing is guaranteed for a single sample, or for the size of sets: against an adversary most are unbounded.
+
+    Parameters
+    ----------
+    bins
+        Fitted bins.
+    alpha
+        Miscoverage rate in (0, 1), per target.
+    score
+        As in :class:`~conformodal.conformal.calibrators.base.Calibrator`.
+    method
+        ``"aci"`` or ``"pid"`` with their defaults, or a function that makes a :class:`Tracker` from alpha. ``"aci"``
+        stores all past scores, about 40 bytes per sample and target; ``lambda alpha: Aci(alpha, window=1000)`` stores
+        the last thousand and has the same bound.
+    empty
+        ``"allow"`` or ``"mode"``, as for the other calibrators. With ``"mode"`` a threshold of ``-inf`` shows one bin,
+        but still counts as a miss.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import Aci, OnlineConformal, QuantileBins
+    >>> bins = QuantileBins.from_edges([[0, 1, 2]])
+    >>> stream = OnlineConformal(bins, alpha=0.1, method=lambda alpha: Aci(alpha, gamma=0.02))
+    >>> proba, y = np.tile([0.7, 0.3], (500, 1)), np.random.default_rng(0).uniform(0, 2, 500)
+    >>> bool(abs(stream.run(proba, y).contains(y).mean() - 0.9) < (0.9 + 0.02) / (500 * 0.02))
+    True
+    """
+
+    def __init__(
+        self,
+        bins: QuantileBins,
+        alpha: Alpha = 0.1,
+        score: str | Score = "lac",
+        method: str | Callable[[Alpha], Tracker] = "aci",
+        empty: Empty = "allow",
+    ) -> None:
+        self._sets = Calibrator(bins, alpha, score, "none", empty)
+        self._sets.check_parameters()
+        if isinstance(method, str):
+            method = METHODS.get(method, method)
+        if not callable(method):
+            raise ConformodalError(f"method must be one of {sorted(METHODS)} or make a Tracker, got {brief(method)}")
+        self.bins = bins
+        self.trackers = [method(as_alpha(alpha)) for _ in range(bins.n_targets)]
+        for tracker in self.trackers:
+            if not (callable(getattr(tracker, "threshold", None)) and callable(getattr(tracker, "update", None))):
+                raise ConformodalError(f"method must make a Tracker, with threshold and update, got {brief(tracker)}")
+
+    @property
+    def thresholds(self) -> FloatArray:
+        """Current thresholds, (d,)."""
+        return as_doubles([tracker.threshold() for tracker in self.trackers], "thresholds")
+
+    def predict(self, proba: Probabilities) -> Regions:
+        """Regions of one or more samples at the current thresholds."""
+        return self._sets.regions_at(proba, self.thresholds)
+
+    def update(self, proba: Probabilities, y: npt.ArrayLike) -> Self:
+        """Learn the truth of samples, in the order of their rows."""
+        for scores in self._sets.score_samples(proba, y):
+            self._learn(scores)
+        return self
+
+    def run(self, proba: Probabilities, y: npt.ArrayLike) -> Regions:
+        """Predict and update, row by row: the regions each sample had before its truth was known."""
+        limits = []
+        for scores in self._sets.score_samples(proba, y):
+            limits.append(self.thresholds)
+            self._learn(scores)
+        if not limits:
+            return self.predict(proba)
+        return self._sets.regions_at(proba, np.stack(limits))
+
+    def _learn(self, scores: RealArray) -> None:
+        for tracker, score in zip(self.trackers, scores, strict=True):
+            tracker.update(float(score))

@@ -1,0 +1,184 @@
+"""Split conformal calibration (the paper, section 2; Papadopoulos et al. 2002)."""
+
+from __future__ import annotations
+
+from copy import copy
+from fractions import Fraction
+from itertools import accumulate
+from math import lcm
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from conformodal.conformal.checks import Alpha, Probabilities, as_labels, as_scores, factorise
+from conformodal.conformal.errors import ConformodalError
+from conformodal.conformal.rank import conformal_quantile, conformal_rank, hierarchical_quantile
+from conformodal.conformal.regions import Regions
+from conformodal.core.arrays import AnyArray, FloatArray, IntArray, RealArray
+
+from .base import Calibrator
+
+
+class SplitConformal(Calibrator):
+    """Split conformal prediction sets over bins.
+
+    If the calibration samples and a new sample are exchangeable (drawn together and split at random, say), and neither
+    was used to fit the probabilities or the bins, then ``P(y in region) >= 1 - alpha`` per target, or with
+    ``joint="bonferroni"`` or ``"max"`` for all targets together.
+
+    With ``units``, such as parts of a video or whole recordings, only the units need to be exchangeable, and coverage
+    is guaranteed for a random sample of a new unit (Dunn, Wasserman and Ramdas 2023; Lee, Barber and Willett 2023).
+
+    Parameters
+    ----------
+    bins, alpha, score, joint, empty
+        As in :class:`~conformodal.conformal.calibrators.base.Calibrator`.
+
+    Attributes
+    ----------
+    scores_ : (n, d) calibration scores of the true bins, ``+inf`` for values outside the edges
+    units_ : (n,) unit of each calibration sample, or None if samples are exchangeable
+    unit_sizes_ : (n,) size of each sample's whole unit, if only one category of its members is here, or None
+    thresholds_ : (d,) thresholds, ``+inf`` where n is too small for alpha
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import QuantileBins, SplitConformal
+    >>> bins = QuantileBins.from_edges([[0, 1, 2, 3]])
+    >>> proba = np.tile([0.45, 0.1, 0.45], (40, 1))
+    >>> y = np.tile([0.5, 2.5], 20)
+    >>> SplitConformal(bins, alpha=0.1).calibrate(proba, y).predict(proba[:1]).intervals(0)
+    [array([[0., 1.],
+           [2., 3.]])]
+    """
+
+    scores_: RealArray
+    units_: AnyArray | None
+    unit_sizes_: IntArray | None
+    thresholds_: RealArray
+
+    @property
+    def rank(self) -> int:
+        """Rank k of the threshold among the exchangeable units; n_units + 1 means an unbounded set."""
+        return conformal_rank(self.n_units, self.alpha_per_target)
+
+    @property
+    def n_units(self) -> int:
+        """Exchangeable units behind the thresholds: calibration samples, or what they were drawn together in."""
+        n = self._calibrated().shape[0]
+        return n if self.units_ is None else len(factorise(self.units_)[0])
+
+    @property
+    def weights(self) -> list[Fraction]:
+        """Weight of each calibration sample in exchangeable units: 1, or one over the size of its unit."""
+        return [Fraction(1, size) for size in self._sizes()[1].tolist()]
+
+    @property
+    def weight(self) -> Fraction:
+        """Sum of :attr:`weights`: thresholds are finite only from ``1 / alpha_per_target - 1`` on."""
+        return sum(self.weights, Fraction(0))
+
+    def calibrate(self, proba: Probabilities, y: npt.ArrayLike, units: npt.ArrayLike | None = None) -> Self:
+        """Score the calibration samples and set the thresholds.
+
+        Parameters
+        ----------
+        proba
+            (n, d, K), or a list of d arrays (n, K_d).
+        y
+            (n, d) true values, or (n,) for one target. Values outside the edges score ``+inf``.
+        units
+            (n,) labels of the samples that were drawn together, as text, numbers or dates; None if samples are
+            exchangeable.
+        """
+        self.calibrate_scores(self.score_samples(proba, y), units)
+        self.warn_of_whole_range(self.thresholds_)
+        return self
+
+    def calibrate_scores(
+        self,
+        scores: RealArray,
+        units: npt.ArrayLike | None = None,
+        unit_sizes: IntArray | None = None,
+    ) -> Self:
+        """Set the thresholds from calibration scores (n, d) of :meth:`score_samples`.
+
+        `unit_sizes` (n,) are the sizes of the whole units if only members of one category are given, see
+        :func:`~conformodal.conformal.hierarchical_quantile`.
+        """
+        self.check_parameters()
+        scores = as_scores(scores)
+        if scores.ndim != 2 or scores.shape[1] != self.bins.n_targets:
+            raise ConformodalError(f"scores must have shape (n, {self.bins.n_targets}), got {scores.shape}")
+        if units is not None:
+            units = as_labels(units, len(scores), "units")
+        if unit_sizes is not None:
+            unit_sizes = _as_sizes(unit_sizes, units)
+        columns = self._calibration_columns(scores)
+        self.scores_, self.units_, self.unit_sizes_ = scores, units, unit_sizes
+        self.thresholds_ = self.per_target(self._quantiles(columns, units, unit_sizes))
+        return self
+
+    def _quantiles(self, columns: RealArray, units: AnyArray | None, unit_sizes: IntArray | None) -> RealArray:
+        rate = self.alpha_per_target
+        if units is None:
+            return conformal_quantile(columns, rate)
+        labels, codes = factorise(units)
+        rows = [np.flatnonzero(codes == code) for code in range(len(labels))]
+        sizes = None if unit_sizes is None else [int(unit_sizes[members[0]]) for members in rows]
+        return np.array([hierarchical_quantile([column[m] for m in rows], rate, sizes) for column in columns.T])
+
+    def _sizes(self) -> tuple[IntArray, IntArray]:
+        """The unit of each calibration sample, as a number, and the size of the whole unit, (n,) each."""
+        n = len(self._calibrated())
+        if self.units_ is None:
+            return np.arange(n), np.ones(n, dtype=np.int64)
+        codes = factorise(self.units_)[1]
+        return codes, np.bincount(codes)[codes] if self.unit_sizes_ is None else self.unit_sizes_
+
+    def predict(self, proba: Probabilities) -> Regions:
+        """Regions of new samples: every bin whose score is at most the threshold."""
+        self._calibrated()
+        return self.regions_at(proba, self.thresholds_)
+
+    def at(self, alpha: Alpha) -> SplitConformal:
+        """The same calibration at another miscoverage rate."""
+        other = copy(self)
+        other.alpha = alpha
+        other.calibrate_scores(self._calibrated(), self.units_, self.unit_sizes_)
+        other.warn_of_whole_range(other.thresholds_)
+        return other
+
+    def p_values(self, proba: Probabilities, y: npt.ArrayLike) -> FloatArray:
+        """Conformal p-values of values `y`, (n, d), or (n, 1) for ``joint="max"``.
+
+        ``(1 + number of calibration scores at least as large) / (n + 1)``; with units, ``(1 + sum over units of the
+        share of such scores) / (K + 1)``. With ``empty="allow"`` a value is in its region exactly if its p-value
+        exceeds alpha.
+        """
+        calibration = self.columns(self._calibrated())
+        new = self.columns(self.score_samples(proba, y))
+        sizes = self._sizes()[1].tolist()
+        whole = lcm(*sizes)  # a unit's weight, so that every member's is a whole number
+        weights = np.array([whole // size for size in sizes], dtype=object)
+        total = int(weights.sum()) + whole
+        p_values = np.empty(new.shape)
+        for j, (scores, column) in enumerate(zip(calibration.T, new.T, strict=True)):
+            order = np.argsort(scores, kind="stable")
+            below = np.array([0, *accumulate(weights[order])], dtype=object)
+            reached = below[np.searchsorted(scores[order], column, side="left")]
+            p_values[:, j] = (total - reached) / total
+        return p_values
+
+
+def _as_sizes(unit_sizes: IntArray, units: AnyArray | None) -> IntArray:
+    sizes = np.asarray(unit_sizes)
+    if units is None or sizes.shape != units.shape or sizes.dtype.kind not in "iu":
+        raise ConformodalError("unit_sizes must be whole numbers, one per sample, and need units")
+    _, first, codes = np.unique(units, return_index=True, return_inverse=True)
+    if (sizes != sizes[first][codes]).any():
+        row = int(np.argmax(sizes != sizes[first][codes]))
+        raise ConformodalError(f"unit_sizes must be the same within a unit; row {row} differs, {sizes[row]}")
+    return sizes

@@ -1,0 +1,244 @@
+"""A density over bins as a mixture of five smoothed distributions, weighted by held-out likelihood."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtr
+from sklearn.base import BaseEstimator
+from sklearn.utils.validation import _check_sample_weight
+
+from conformodal.conformal.bins import QuantileBins
+from conformodal.conformal.checks import as_doubles, as_finite
+from conformodal.conformal.errors import ConformodalError, not_calibrated
+from conformodal.core.arrays import FloatArray, IntArray
+
+from .encoder import TableEncoder
+from .forest import Groups, LeafForest
+from .location import Location
+
+# for each of the five components, in order: whether it is a distribution of scaled residuals
+_RESIDUAL = (False, True, True, False, False)
+_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
+_GRID_CELLS = 300
+# least weight of a component, so that no density is exactly zero and far values differ
+_LEAST_WEIGHT = 1e-3
+_ROWS_AT_ONCE = 2048
+# least density, relative to 1 / range, for logarithms
+_FLOOR = 1e-6
+_ITERATIONS = 200
+# least spread of the values: distances in units of a smaller one may overflow
+_LEAST_SPREAD = 1e-150
+
+
+@dataclass
+class Standardised:
+    """A table with its values and the edges of their bins, both standardised."""
+
+    X: FloatArray
+    z: FloatArray
+    weight: FloatArray
+    edges: FloatArray
+    z_edges: FloatArray
+
+    @property
+    def codes(self) -> IntArray:
+        """Bin (n,) of every value; values beyond the edges are in the outer bins."""
+        return np.searchsorted(self.z_edges[1:-1], self.z, side="right")
+
+
+def standardised(
+    X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None
+) -> Standardised:
+    """Check features (n, p), values (n,), edges (K + 1,) and weights (n,); rows of weight zero are left out."""
+    features, values = as_features(X), as_finite(y, "y", "(n,)")
+    if values.shape != features.shape[:1]:
+        raise ConformodalError(f"y must have one value per row of X ({features.shape[0]}), got {values.size}")
+    weight = np.ones(values.size) if sample_weight is None else as_sample_weight(sample_weight, values.size)
+    kept = weight > 0
+    if not kept.all():
+        features, values, weight = features[kept], values[kept], weight[kept]
+    if values.size < 2:
+        raise ConformodalError(f"X must have at least 2 rows to learn a density, got n_samples={values.size}")
+    (checked,) = QuantileBins.from_edges([edges]).edges_
+    with np.errstate(over="ignore", invalid="ignore"):
+        center, scale = float(values.mean()), float(values.std()) or 1.0
+    if not (np.isfinite([center, scale]).all() and scale >= _LEAST_SPREAD):
+        raise ConformodalError(f"y has a spread that float64 cannot work with, {scale:g} around {center:g}")
+    return Standardised(features, (values - center) / scale, weight, checked, (checked - center) / scale)
+
+
+def as_features(X: npt.ArrayLike) -> FloatArray:
+    """Finite features (n, p) that float32 can hold, as trees need."""
+    features = as_finite(X, "X", "(n, p)")
+    most = float(np.finfo(np.float32).max)
+    if not features.shape[1]:
+        raise ConformodalError("X must have a column of numbers, or of text with a label in two rows")
+    if features.size and np.abs(features).max() > most:
+        raise ConformodalError(f"X must have numbers that float32 can hold, up to {most:.3g}, as trees do")
+    return features
+
+
+def as_sample_weight(sample_weight: npt.ArrayLike, n: int) -> FloatArray:
+    """Weights (n,) of samples, scaled so that the positive ones have mean one."""
+    given = as_doubles(sample_weight, "sample_weight")
+    try:
+        given = _check_sample_weight(given if given.ndim else float(given), np.empty((n, 1)), ensure_non_negative=True)
+    except ValueError as exc:
+        raise ConformodalError(f"sample_weight: {exc}") from None
+    if not given.any():  # which scikit-learn refuses from 1.9 on
+        raise ConformodalError("sample_weight must be above zero for a sample at least, all are zero")
+    relative = given / given.max()
+    return np.asarray(relative / relative[relative > 0].mean())
+
+
+class MixtureDensity(BaseEstimator):  # type: ignore[misc]
+    """What the quick and the stacked density share: smoothing, mixing and prediction in blocks of rows.
+
+    The components, in order: the marginal distribution of the values, that of the scaled residuals, and three whose
+    weights a forest gives for each sample (one over scaled residuals, two over values). A fit sets the location, the
+    model of the logarithmic spread, and the forests; the last of these knows the features alone.
+    """
+
+    edges_: FloatArray
+    weights_: FloatArray
+    encoder_: TableEncoder
+    location_: Location
+    spread_: Any
+    forests_: tuple[LeafForest, ...]
+
+    def predict_proba(self, X: npt.ArrayLike) -> FloatArray:
+        """Probabilities of the bins, (n, K)."""
+        if not hasattr(self, "weights_"):
+            raise not_calibrated(f"{type(self).__name__} is not fitted yet: call fit_bins(X, y, edges) first")
+        features = as_features(self.encoder_.transform(X))
+        parts = [self._proba(features[i : i + _ROWS_AT_ONCE]) for i in range(0, len(features), _ROWS_AT_ONCE)]
+        return np.concatenate(parts) if parts else np.empty((0, self.edges_.size - 1))
+
+    def _proba(self, features: FloatArray) -> FloatArray:
+        *guided, direct = self.forests_
+        leaves = direct.apply(features)
+        summary = self.location_.predict(features, direct.means(leaves))
+        extended = np.column_stack((features, summary))
+        by_forest = [weights for forest in guided for weights in forest.weights(forest.apply(extended))]
+        weights = [*self._pooled, *by_forest, *direct.weights(leaves)]
+        masses = [share * (w @ k) for share, w, k in zip(self.weights_, weights, self._kernels, strict=True)]
+        residual = np.sum(self.weights_[[*_RESIDUAL]])
+        # one shift of the residuals' mixture, whose rows then sum to one, is all residuals need
+        shifted = self._shifted(
+            (masses[1] + masses[2]) / residual, summary[:, 0], np.exp(self.spread_.predict(extended))
+        )
+        total = masses[0] + masses[3] + masses[4] + residual * shifted
+        return np.asarray(total / total.sum(axis=1, keepdims=True))
+
+    def _mix(
+        self,
+        table: Standardised,
+        place: tuple[FloatArray, FloatArray],
+        groups: tuple[Groups, Groups],
+        by_forest: list[FloatArray],
+        validation: IntArray,
+    ) -> None:
+        """Choose every component's bandwidth, then the weights, by the likelihood of held-out values.
+
+        `place` are location and spread (n,) of every row, out of fold; `groups` are of the values and of the scaled
+        residuals; `by_forest` are the out-of-bag weights (m, G) of the three forests for the `validation` rows (m,).
+        """
+        loc, spread = place
+        scaled = (table.z - loc) / spread
+        self._z_edges, self._grid = table.z_edges, _grid_of(scaled)
+        self._pooled = [np.bincount(of, table.weight)[None] / table.weight.sum() for of, _ in groups]
+        codes, widths, weight = table.codes[validation], np.diff(table.z_edges), table.weight[validation]
+        self._kernels: list[FloatArray] = []
+        likelihoods = []
+        for residual, weights in zip(_RESIDUAL, [*self._pooled, *by_forest], strict=True):
+            centers, sample, edges = (
+                (groups[1][1], scaled, self._grid) if residual else (groups[0][1], table.z, table.z_edges)
+            )
+            fits = []
+            for factor in _FACTORS:
+                kernel = kernel_masses(centers, sample, edges, factor)
+                masses = np.broadcast_to(weights @ kernel, (validation.size, edges.size - 1))
+                proba = self._shifted(masses, loc[validation], spread[validation]) if residual else masses
+                each = log_density(proba, codes, widths)
+                fits.append((float(np.average(each, weights=weight)), kernel, each))
+            _, kernel, each = max(fits, key=lambda fit: fit[0])
+            self._kernels.append(kernel)
+            likelihoods.append(each)
+        mixed = np.maximum(mixture_weights(np.column_stack(likelihoods), weight), _LEAST_WEIGHT)
+        self.edges_, self.weights_ = table.edges, mixed / mixed.sum()
+
+    def _shifted(self, masses: FloatArray, loc: FloatArray, spread: FloatArray) -> FloatArray:
+        """Bin probabilities of values, from masses (n, M) of their scaled residuals."""
+        rows = [slice(start, start + _ROWS_AT_ONCE) for start in range(0, loc.size, _ROWS_AT_ONCE)]
+        return np.concatenate([shifted_masses(masses[r], self._grid, loc[r], spread[r], self._z_edges) for r in rows])
+
+
+def log_spread(residual: FloatArray) -> FloatArray:
+    """Logarithms (n,) of absolute residuals, each raised by a tenth of their median: none is of zero."""
+    absolute = np.abs(residual)
+    return np.log(absolute + (float(0.1 * np.median(absolute)) or 1e-6))
+
+
+def _grid_of(scaled: FloatArray) -> FloatArray:
+    """Cells with equal numbers of scaled residuals, and one beyond them at either end."""
+    reach = (scaled.max() - scaled.min()) or 1.0
+    ends = np.quantile(scaled, np.linspace(0, 1, _GRID_CELLS + 1))
+    return np.unique(np.concatenate(([ends[0] - reach / 2], ends, [ends[-1] + reach / 2])))
+
+
+def bandwidths(centers: FloatArray, values: FloatArray, factor: float) -> FloatArray:
+    """Gaussian bandwidth at each of `centers`: Silverman's rule on `values`, narrower where they are dense.
+
+    Source: Silverman (1986), 3.31; Abramson (1982). `factor` multiplies all.
+    """
+    quartiles = np.quantile(values, [0.25, 0.75])
+    spread = min(values.std(), float(np.diff(quartiles)[0]) / 1.34) or values.std()
+    pilot = max(0.9 * spread * values.size**-0.2, 1e-9 * (np.ptp(values) or 1.0))
+    # the empirical distribution at 512 points stands for all values
+    points = np.quantile(values, (np.arange(512) + 0.5) / 512)
+    density = np.exp(-0.5 * ((centers[:, None] - points) / pilot) ** 2).mean(axis=1) + 1e-9
+    local = np.sqrt(np.exp(np.log(density).mean()) / density)
+    return np.asarray(factor * pilot * np.clip(local, 0.2, 5))
+
+
+def kernel_masses(centers: FloatArray, values: FloatArray, edges: FloatArray, factor: float) -> FloatArray:
+    """Mass that a kernel at each of `centers` puts in each bin, (G, K); the outer bins get what lies beyond."""
+    below = ndtr((edges - centers[:, None]) / bandwidths(centers, values, factor)[:, None])
+    below[:, 0], below[:, -1] = 0, 1
+    return np.diff(below, axis=1)
+
+
+def shifted_masses(
+    masses: FloatArray, grid: FloatArray, loc: FloatArray, scale: FloatArray, edges: FloatArray
+) -> FloatArray:
+    """Bin probabilities of ``loc + scale * residual``, (n, K), from masses (n, M) of the residual over `grid` cells."""
+    below = np.concatenate((np.zeros((masses.shape[0], 1)), np.cumsum(masses, axis=1)), axis=1)
+    at = (edges - loc[:, None]) / scale[:, None]
+    cell = np.clip(np.searchsorted(grid, at.ravel()).reshape(at.shape) - 1, 0, grid.size - 2)
+    share = np.clip((at - grid[cell]) / np.diff(grid)[cell], 0, 1)
+    reached = np.take_along_axis(below, cell, 1) * (1 - share) + np.take_along_axis(below, cell + 1, 1) * share
+    reached[:, 0], reached[:, -1] = 0, 1
+    return np.maximum(np.diff(reached, axis=1), 0)  # rounding may take a step down
+
+
+def log_density(proba: FloatArray, codes: IntArray, widths: FloatArray) -> FloatArray:
+    """Log density (n,) that rows of bin probabilities give to the bins `codes`, floored."""
+    density = proba[np.arange(codes.size), codes] / widths[codes]
+    return np.asarray(np.log(np.maximum(density, _FLOOR / widths.sum())))
+
+
+def mixture_weights(log_densities: FloatArray, weight: FloatArray | None = None) -> FloatArray:
+    """Weights (m,) of a mixture that maximise the likelihood of densities (n, m), by expectation-maximisation.
+
+    `weight` (n,) are sample weights. Source: the stacking of densities of Smyth and Wolpert (1999).
+    """
+    relative = np.exp(log_densities - log_densities.max(axis=1, keepdims=True))
+    weights = np.full(relative.shape[1], 1 / relative.shape[1])
+    for _ in range(_ITERATIONS):
+        shares = relative * weights
+        weights = np.average(shares / shares.sum(axis=1, keepdims=True), axis=0, weights=weight)
+    return weights

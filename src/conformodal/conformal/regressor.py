@@ -1,0 +1,401 @@
+"""A scikit-learn regressor that predicts regions."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self, TypeAlias, cast, overload
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.utils import check_consistent_length, get_tags
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from conformodal.core.arrays import AnyArray, FloatArray
+from conformodal.core.words import counted
+
+from .bins import QuantileBins
+from .calibrators.base import Joint
+from .calibrators.mondrian import MondrianConformal
+from .calibrators.split import SplitConformal
+from .checks import (
+    Alpha,
+    BinProbabilities,
+    as_alpha,
+    as_choice,
+    as_labels,
+    as_number,
+    as_probabilities,
+    as_random,
+    as_targets,
+    brief,
+    column_names,
+    factorise,
+    reason,
+    shortened,
+)
+from .density.encoder import dense_inputs, is_frame, named_targets, rows_of
+from .density.fitting import announce, as_learner, fit_target, on_stderr, split_off
+from .density.mixture import as_sample_weight
+from .density.smoothing import proba_of_bins
+from .diagnostics.diagnosis import Diagnosis, diagnose
+from .errors import ConformodalError, ConformodalTypeError, not_calibrated
+from .intervals import MaxIntervals
+from .predictive import PredictiveDensity
+from .regions import Regions
+from .saving import load_regressor, save_regressor
+from .scores import Score
+
+Alphas: TypeAlias = Sequence[float] | Sequence[str] | FloatArray
+
+# Values a little beyond the training range still get a finite score.
+_MARGIN = 0.02
+# With few calibration samples, one beyond that would make all regions unbounded: bins reach as far again as the range.
+_TAIL, _FEW_TO_CALIBRATE = 1.0, 100
+_BINS_OF_DENSITY, _BINS_OF_CLASSIFIER = 200, 50
+
+
+class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """Regression by classification into bins, with calibrated regions of one or more intervals.
+
+    ``fit`` splits off calibration data, cuts the targets into quantile bins, fits one density or classifier per target
+    and calibrates. If calibration samples and a new sample are exchangeable, ``predict_region`` contains the truth with
+    probability at least ``1 - alpha``, on average over samples: per target, or of all together with `joint`.
+
+    Parameters
+    ----------
+    estimator
+        None or ``"quick"`` for :class:`QuickDensity`, in seconds; ``"stack"`` for :class:`StackedDensity`, in minutes
+        with shorter sets (``results/peers_all_rows.md``: 0.81 of the length of the best peer's, in the geometric mean
+        over seven data sets); any classifier with ``predict_proba``, fitted five times on bin numbers without every
+        fifth row, averaged, and smoothed over bins as the left-out rows require; or an object with
+        ``fit_bins(X, y, edges)`` and ``predict_proba``.
+    n_bins
+        Bins per target. None: 200 for an object with ``fit_bins`` (these smooth over bins), 50 for a classifier.
+    alpha
+        Miscoverage rate in (0, 1).
+    conformity_score
+        ``"density"`` (shortest sets), ``"lac"``, ``"aps"``, ``"hpd"``, or a score object.
+    joint
+        ``"none"``, ``"bonferroni"`` or ``"max"``; see :class:`~conformodal.conformal.SplitConformal`. With ``"max"``
+        every density is fitted twice: the targets' scores are scaled by rows that one of the fits has not seen.
+    calibration_size
+        Share of the samples that ``fit`` holds out for calibration, in [0, 1). With 0, call :meth:`conformalize` next.
+    random_state
+        Seed of the split and of a fresh estimator, or None.
+    verbose
+        Whether a fit of more than ten seconds prints its progress on standard error; it warns with
+        :class:`SlowFitWarning` in any case.
+    y_min, y_max
+        Bounds that no value can pass, such as 0 for a weight: no set reaches beyond them, an unbounded one neither. A
+        number for all targets, or one per target.
+    max_intervals
+        Most intervals of a set: :class:`~conformodal.conformal.MaxIntervals` then takes the place of
+        `conformity_score`.
+
+    Attributes
+    ----------
+    bins_ : QuantileBins
+    estimators_ : list of d fitted estimators; of a classifier, its five fits in ``classifiers`` and their smoothing
+    calibrator_ : SplitConformal, or MondrianConformal with groups
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn.ensemble import RandomForestClassifier
+    >>> from conformodal.conformal import ConformalRegressor
+    >>> rng = np.random.default_rng(0)
+    >>> X = rng.uniform(-1, 1, (1000, 1))
+    >>> y = rng.choice([-1, 1], 1000) * (1 + X[:, 0]) + rng.normal(0, 0.05, 1000)
+    >>> forest = RandomForestClassifier(min_samples_leaf=20, random_state=0)
+    >>> reg = ConformalRegressor(forest, n_bins=30, random_state=0).fit(X, y)
+    >>> [[float(round(end)) for end in interval] for interval in reg.predict_region([[0.9]]).intervals(0)[0]]
+    [[-2.0, -2.0], [2.0, 2.0]]
+    """
+
+    # what a pipeline passes on if scikit-learn's metadata routing is on
+    __metadata_request__predict: ClassVar = {"region": True, "alpha": True, "groups": True}
+
+    def __init__(
+        self,
+        estimator: Any = None,
+        n_bins: int | None = None,
+        alpha: Alpha = 0.1,
+        conformity_score: str | Score = "density",
+        joint: Joint = "none",
+        calibration_size: float = 0.2,
+        random_state: Any = None,
+        verbose: bool = False,
+        y_min: npt.ArrayLike = -np.inf,
+        y_max: npt.ArrayLike = np.inf,
+        max_intervals: int | None = None,
+    ) -> None:
+        self.estimator = estimator
+        self.n_bins = n_bins
+        self.alpha = alpha
+        self.conformity_score = conformity_score
+        self.joint = joint
+        self.calibration_size = calibration_size
+        self.random_state = random_state
+        self.verbose = verbose
+        self.y_min = y_min
+        self.y_max = y_max
+        self.max_intervals = max_intervals
+
+    def fit(
+        self, X: Any, y: Any, sample_weight: npt.ArrayLike | None = None, groups: npt.ArrayLike | None = None
+    ) -> Self:
+        """Learn and calibrate.
+
+        Parameters
+        ----------
+        X
+            (n, p) features: an array, or a frame of pandas, polars or Arrow, of which a classifier gets the rows as
+            they are. Numbers may be missing (NaN) if the estimator can work with that, as the named ones do.
+        y
+            (n,) or (n, d) values; the names of a frame's or series' columns are kept.
+        sample_weight
+            (n,) weights of at least 0, up to a factor, for the learner only (``"stack"`` takes none). Samples of weight
+            0 are left out. All others calibrate alike: coverage is guaranteed for a new sample that is exchangeable
+            with the samples of positive weight, not for a population in which samples are as frequent as they weigh;
+            for that, calibrate :class:`~conformodal.conformal.WeightedConformal` on :meth:`predict_bins`.
+        groups
+            (n,) labels, as text, numbers or dates: coverage is then guaranteed within each group, see
+            :class:`MondrianConformal`; each is split by itself. For groups that overlap, see
+            :class:`ConditionalConformal`.
+        """
+        features, values, names = self._table(X, y, reset=True)
+        self._one_target = values.ndim == 1
+        values = as_targets(values)
+        labels = None if groups is None else as_labels(groups, len(values))
+        weight = None if sample_weight is None else as_sample_weight(sample_weight, len(values))
+        if weight is not None:
+            features, values = rows_of(features, weight > 0), values[weight > 0]
+            labels, weight = None if labels is None else labels[weight > 0], weight[weight > 0]
+        size = as_number(self.calibration_size, "calibration_size", "a share in [0, 1)", lambda share: 0 <= share < 1)
+        random = as_random(self.random_state)
+        held, seen = split_off(len(values), size, random, None if labels is None else factorise(labels)[1])
+        base, dense = as_learner(self.estimator, random.randint(2**31 - 1))
+        n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
+        tail = _TAIL if 0 < held.size < _FEW_TO_CALIBRATE else 0.0
+        bins = QuantileBins(n_bins, margin=_MARGIN, tail=tail, y_min=self.y_min, y_max=self.y_max)
+        self.bins_ = bins.fit(values[seen])
+        self.bins_.check_limits(values)
+        self.bins_.names = names
+        self.calibrator_: Any = self._calibrator(labels is not None)
+        unseen, learnt = self.joint == "max", rows_of(features, seen)
+        slow = announce(base, seen.size, features.shape[1], values.shape[1], 2 if dense and unseen else 1)
+        self.estimators_, out_of_fold = [], []
+        for j, edges in enumerate(self.bins_.edges_):
+            progress = on_stderr(j, values.shape[1]) if slow and self.verbose else None
+            share = None if weight is None else weight[seen]
+            model, proba = fit_target(base, dense, learnt, values[seen, j], edges, share, unseen, progress)
+            self.estimators_.append(model)
+            out_of_fold.append(proba)
+        if unseen:
+            scored = [proba for proba in out_of_fold if proba is not None] or self._proba(
+                learnt
+            )  # too few to leave out
+            self.calibrator_.fit_scale(scored, values[seen[: len(scored[0])]])
+        if held.size:
+            self._calibrate(rows_of(features, held), values[held], None if labels is None else labels[held])
+        return self
+
+    def conformalize(self, X_cal: Any, y_cal: Any, groups: npt.ArrayLike | None = None) -> Self:
+        """Calibrate on given data, none of which was learnt from; replaces the earlier calibration."""
+        check_is_fitted(self, "bins_")
+        features, values, _ = self._table(X_cal, y_cal)
+        values = as_targets(values, self.bins_.n_targets)
+        self.bins_.check_limits(values)
+        self._calibrate(features, values, self._labels(groups, len(values)))
+        return self
+
+    def predict_bins(self, X: Any) -> BinProbabilities:
+        """Probabilities of the bins: d arrays (n, K_d)."""
+        check_is_fitted(self, "bins_")
+        return self._proba(self._inputs(X))
+
+    def predict_density(self, X: Any) -> PredictiveDensity:
+        """Distributions of new samples: density, quantiles, mode, samples, and the probability of each interval."""
+        return PredictiveDensity(self.bins_, self.predict_bins(X))
+
+    @overload
+    def predict(self, X: Any, region: Literal[False] = False, alpha: Any = None, groups: Any = None) -> FloatArray: ...
+
+    @overload
+    def predict(self, X: Any, region: Literal[True], alpha: Alpha | None = None, groups: Any = None) -> Regions: ...
+
+    @overload
+    def predict(self, X: Any, region: Literal[True], alpha: Alphas, groups: Any = None) -> list[Regions]: ...
+
+    def predict(
+        self, X: Any, region: bool = False, alpha: Alpha | Alphas | None = None, groups: npt.ArrayLike | None = None
+    ) -> FloatArray | Regions | list[Regions]:
+        """Means of the distributions, (n,) or (n, d), which minimise the squared error, even between two modes.
+
+        With ``region=True`` it is :meth:`predict_region`, for scikit-learn, which knows ``predict`` only: the regions
+        of a pipeline are ``pipeline.predict(X, region=True)``.
+        """
+        if region:
+            return self.predict_region(X, alpha, groups)
+        for name, value in (("alpha", alpha), ("groups", groups)):
+            if value is not None:
+                raise ConformodalError(f"{name} must be None unless region=True, got {brief(value)}")
+        means = self.predict_density(X).mean
+        return means[:, 0] if self._one_target else means
+
+    @overload
+    def predict_region(self, X: Any, alpha: Alpha | None = None, groups: npt.ArrayLike | None = None) -> Regions: ...
+
+    @overload
+    def predict_region(self, X: Any, alpha: Alphas, groups: npt.ArrayLike | None = None) -> list[Regions]: ...
+
+    def predict_region(
+        self, X: Any, alpha: Alpha | Alphas | None = None, groups: npt.ArrayLike | None = None
+    ) -> Regions | list[Regions]:
+        """Calibrated regions of new samples; `alpha` replaces the estimator's miscoverage rate.
+
+        For a list of rates, a list of regions: those of a smaller rate hold those of a larger one.
+
+        `groups` (n,) are the samples' labels if the regressor was fitted with labels; those of a group that is new, or
+        had too few calibration samples, are unbounded.
+        """
+        proba, calibrator = self.predict_bins(X), self._calibrated()
+        labels = self._labels(groups, len(proba[0]))
+        several = isinstance(alpha, (list, tuple)) or (isinstance(alpha, np.ndarray) and alpha.ndim > 0)
+        rates: Sequence[Any] = list(cast("Alphas", alpha)) if several else [alpha]
+        if not rates:
+            raise ConformodalError(f"alpha must hold at least one rate, got {brief(alpha)}")
+        arguments = [proba] if labels is None else [proba, labels]
+        regions = [(calibrator if rate is None else calibrator.at(rate)).predict(*arguments) for rate in rates]
+        return regions if several else regions[0]
+
+    def diagnose(
+        self,
+        X: Any,
+        y: Any,
+        groups: npt.ArrayLike | None = None,
+        level: float = 0.99,
+        names: Sequence[str] | None = None,
+    ) -> Diagnosis:
+        """Check coverage, sizes and p-values on test samples; print the result for a report.
+
+        Takes samples neither learnt from nor calibrated on; the other parameters are those of
+        :func:`~conformodal.conformal.diagnose`.
+        """
+        proba = self.predict_bins(X)
+        features, values, _ = self._table(X, y)
+        return diagnose(self._calibrated(), proba, values, dense_inputs(features), groups, names, level)
+
+    def save(self, path: str | Path) -> None:
+        """Write the regressor into a file, with the extra ``save``: skops, which needs no pickle.
+
+        An existing file is replaced only if it is a saved regressor. Estimators of scikit-learn and the named ones can
+        be saved.
+        """
+        check_is_fitted(self, "bins_")
+        save_regressor(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path, trusted: Sequence[str] = ()) -> Self:
+        """Read a saved regressor back, best with the version of scikit-learn that it was saved with.
+
+        Loading runs no code of the file. It makes objects of known types only; `trusted` names more of them, such as
+        those of an estimator of another package, which the error about them lists.
+        """
+        regressor = load_regressor(path, trusted)
+        if not isinstance(regressor, cls):
+            raise ConformodalError(f"{path}: must hold a {cls.__name__}, got {type(regressor).__name__}")
+        return regressor
+
+    def _calibrator(self, grouped: bool) -> Any:
+        score = self.conformity_score
+        as_choice(self.joint, Joint, "joint")
+        if self.max_intervals is not None:
+            if score != "density":
+                raise ConformodalError(
+                    f"conformity_score must be 'density', the default, with max_intervals, got {brief(score)}"
+                )
+            share = as_alpha(self.alpha) / (1 if self.joint == "none" else self.bins_.n_targets)
+            score = MaxIntervals(self.max_intervals, str(share))
+        kind = MondrianConformal if grouped else SplitConformal
+        calibrator = kind(self.bins_, self.alpha, score, self.joint)
+        calibrator.check_parameters()
+        return calibrator
+
+    def _inputs(self, X: Any, y: Any = "no_validation", reset: bool = False) -> Any:
+        """Features, checked by scikit-learn; a frame stays as it is."""
+        if np.ma.is_masked(X):
+            raise ConformodalError("X must not hold masked entries; NaN stands for a missing number")
+        options: dict[str, Any] = {"skip_check_array": True}
+        if not is_frame(X):
+            options = {"accept_sparse": "csr", "ensure_all_finite": "allow-nan", "dtype": "numeric"}
+            if not isinstance(y, str):
+                options |= {"multi_output": True, "y_numeric": True}
+        try:
+            checked = validate_data(self, X, y, reset=reset, **options)
+        except TypeError as exc:
+            raise ConformodalTypeError(reason(exc)) from None
+        except (ValueError, OverflowError) as exc:
+            raise ConformodalError(reason(exc)) from None
+        columns = column_names(X, "X", None if reset else self._columns)
+        self._columns: list[str] = columns if reset else self._columns
+        return checked[0] if isinstance(checked, tuple) else checked
+
+    def _table(self, X: Any, y: Any, reset: bool = False) -> tuple[Any, FloatArray, list[str] | None]:
+        """Features, values and the targets' names."""
+        if y is None:
+            raise ConformodalError("y: this estimator requires y to be passed, but the target y is None")
+        values, names = named_targets(y, None if reset else self.bins_.names)
+        features = self._inputs(X, values, reset)
+        try:
+            check_consistent_length(features, values)
+        except ValueError as exc:
+            raise ConformodalError(f"X and y: {reason(exc)}") from None
+        return features, values, names
+
+    def _labels(self, groups: npt.ArrayLike | None, n: int) -> AnyArray | None:
+        """Labels (n,) of the samples' groups; None without groups."""
+        needed = isinstance(self.calibrator_, MondrianConformal)
+        if needed != (groups is not None):
+            raise ConformodalError(f"groups {'are needed, as fit had them' if needed else 'must be None, as in fit'}")
+        return None if groups is None else as_labels(groups, n)
+
+    def _calibrate(self, features: Any, values: FloatArray, labels: AnyArray | None) -> None:
+        if labels is None:
+            self.calibrator_.calibrate(self._proba(features), values)
+            if np.isinf(self.calibrator_.thresholds_).any():
+                n, beyond = len(values), int((self.bins_.encode(values) < 0).any(axis=1).sum())
+                why = f"{counted(n, 'calibration sample is', 'calibration samples are')} too few"
+                if self.calibrator_.rank <= n:
+                    why = f"{beyond} of {n} calibration samples have values beyond those learnt from, too many"
+                warnings.warn(f"regions are unbounded: {why} for alpha = {self.calibrator_.alpha}", stacklevel=3)
+            return
+        self.calibrator_.calibrate(self._proba(features), values, labels)
+        small = {label: self.calibrator_.sizes_[label] for label in self.calibrator_.fallback_groups}
+        if small:
+            few = f"{counted(len(small), 'group')} with too few calibration samples"
+            warnings.warn(f"regions of {few} are unbounded: {shortened(str(small))}", stacklevel=3)
+
+    def _calibrated(self) -> Any:
+        if not hasattr(self.calibrator_, "scores_"):
+            raise not_calibrated("calibration_size is 0: call conformalize(X_cal, y_cal) first")
+        return self.calibrator_
+
+    def _proba(self, features: Any) -> BinProbabilities:
+        sizes = self.bins_.sizes
+        return as_probabilities(
+            [proba_of_bins(m, features, k) for m, k in zip(self.estimators_, sizes, strict=True)], sizes
+        )
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.target_tags.multi_output = True
+        named = self.estimator is None or isinstance(self.estimator, str)
+        tags.input_tags.allow_nan, tags.input_tags.sparse = named, False
+        if hasattr(self.estimator, "__sklearn_tags__"):
+            inner = get_tags(self.estimator).input_tags
+            tags.input_tags.allow_nan, tags.input_tags.sparse = inner.allow_nan, inner.sparse
+        return tags

@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+from scipy.stats import norm
+from sklearn.ensemble import ExtraTreesRegressor
+
+from conformodal.conformal import QuickDensity
+from conformodal.conformal.density.forest import LeafForest, group_values, rank_cosines
+
+EDGES = np.linspace(-3, 3, 61)
+
+
+def two_branches(n, seed):
+    """Two branches of equal probability and known spread: the density is known."""
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-1, 1, (n, 2))
+    return X, rng.choice([-1, 1], n) * (1 + 0.5 * X[:, 0]) + 0.2 * rng.standard_normal(n)
+
+
+def true_masses(X, edges):
+    below = sum(norm.cdf((edges - side * (1 + 0.5 * X[:, :1])) / 0.2) for side in (-1, 1)) / 2
+    below[:, 0], below[:, -1] = 0, 1
+    return np.diff(below, axis=1)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return QuickDensity(random_state=0).fit_bins(*two_branches(1000, 0), EDGES)
+
+
+def test_it_finds_a_known_density_of_two_modes(fitted):
+    X, _ = two_branches(500, 1)
+    found, truth = fitted.predict_proba(X), true_masses(X, EDGES)
+    apart = 0.5 * np.abs(found - truth).sum(axis=1).mean()
+    marginal = 0.5 * np.abs(truth.mean(axis=0) - truth).sum(axis=1).mean()
+    assert apart < 0.2 < marginal
+    middle = np.abs((EDGES[1:] + EDGES[:-1]) / 2) < 0.2
+    assert found[:, middle].sum(axis=1).mean() < 0.05
+
+
+def test_it_integrates_to_one_wherever_it_is_asked(fitted):
+    X, _ = two_branches(300, 2)
+    for asked in (X, 1e6 * X, X[:1], X[:0]):
+        found = fitted.predict_proba(asked)
+        assert found.shape == (len(asked), 60)
+        assert (found > 0).any(axis=1).all()
+        assert (found >= 0).all()
+        np.testing.assert_allclose(found.sum(axis=1), 1)
+
+
+@pytest.mark.slow
+def test_weights_of_zero_leave_rows_out_and_a_common_factor_means_nothing():
+    X, y = two_branches(120, 5)
+    weight = np.random.default_rng(0).integers(0, 3, 120).astype(float)
+    kept = weight > 0
+    one = QuickDensity(random_state=0).fit_bins(X, y, EDGES, weight).predict_proba(X)
+    other = QuickDensity(random_state=0).fit_bins(X[kept], y[kept], EDGES, 7 * weight[kept]).predict_proba(X)
+    np.testing.assert_allclose(one, other, atol=1e-9)
+    plain = QuickDensity(random_state=0).fit_bins(X, y, EDGES).predict_proba(X)
+    same = QuickDensity(random_state=0).fit_bins(X, y, EDGES, np.full(120, 3.0)).predict_proba(X)
+    np.testing.assert_array_equal(plain, same)
+
+
+@pytest.mark.slow
+def test_weights_move_the_density():
+    X, y = two_branches(400, 6)
+    upper = QuickDensity(random_state=0).fit_bins(X, y, EDGES, np.where(y > 0, 9.0, 1.0)).predict_proba(X)
+    assert abs(upper[:, EDGES[1:] > 0].sum(axis=1).mean() - 0.9) < 0.04
+
+
+@pytest.mark.parametrize("n", [2, 7])
+def test_few_rows_and_constant_columns(n):
+    X, y = np.ones((n, 1)), np.arange(n, dtype=float)
+    for values in (y, 0 * y):
+        proba = QuickDensity(random_state=0).fit_bins(X, values, EDGES).predict_proba(X)
+        np.testing.assert_allclose(proba.sum(axis=1), 1)
+
+
+def test_rows_beyond_the_most_are_drawn_from():
+    X, y = two_branches(300, 7)
+    model = QuickDensity(max_rows=50, random_state=0).fit_bins(X, y, EDGES)
+    assert model.location_.out_of_fold_.shape[0] == 50
+
+
+def grown(weight):
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-1, 1, (300, 2))
+    y = X[:, 0] + 0.1 * rng.standard_normal(300)
+    groups, at = group_values(y)
+    forest = LeafForest(ExtraTreesRegressor, 20, 5, 0, None)
+    rows = np.arange(0, 300, 3)
+    return forest.fit(X, rank_cosines(y, 4), y, weight, [(groups, at)], rows), X, y, groups, rows
+
+
+def test_weights_are_those_of_the_leaves_one_by_one():
+    weight = np.random.default_rng(1).uniform(0.5, 2, 300)
+    forest, X, _, groups, _ = grown(weight)
+    asked = X[:10] * 0.9
+    leaves = [tree.apply(asked.astype(np.float32)) for tree in forest.forest.estimators_]
+    known = [tree.apply(X.astype(np.float32)) for tree in forest.forest.estimators_]
+    expected = np.zeros((10, groups.max() + 1))
+    for to, of, drawn in zip(leaves, known, forest.forest.estimators_samples_, strict=True):
+        count = np.bincount(drawn, minlength=300) * weight
+        for i, leaf in enumerate(to):
+            share = np.bincount(groups, count * (of == leaf), minlength=expected.shape[1])
+            expected[i] += share / share.sum() / len(known)
+    np.testing.assert_allclose(forest.weights(forest.apply(asked))[0], expected, atol=1e-12)
+
+
+def test_out_of_bag_rows_sum_to_one_and_follow_the_values():
+    forest, _, y, groups, rows = grown(np.ones(300))
+    (found,) = forest.out_of_bag_
+    assert found.shape == (100, groups.max() + 1)
+    np.testing.assert_allclose(found.sum(axis=1), 1)
+    assert np.corrcoef(forest.out_of_bag_mean_, y)[0, 1] > 0.9
+    at = np.array([y[groups == g].mean() for g in range(found.shape[1])])
+    np.testing.assert_allclose(found @ at, forest.out_of_bag_mean_[rows], atol=0.05)

@@ -1,0 +1,355 @@
+"""Tables of strangers: names, text, gaps, dates and groups, in pandas, polars and Arrow."""
+
+from datetime import date
+from decimal import Decimal
+from functools import partial
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import sparse
+from sklearn.compose import make_column_transformer
+from sklearn.ensemble import HistGradientBoostingClassifier
+from sklearn.linear_model import LogisticRegression
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import FunctionTransformer, OneHotEncoder
+from sklearn.tree import DecisionTreeClassifier
+from sklearn.utils import get_tags
+
+from conformodal.conformal import ConformalRegressor, ConformodalError, MondrianConformal, QuantileBins, region_scorers
+from conformodal.conformal.density.encoder import TableEncoder, as_column
+
+N = 240
+
+
+def frame(n=N, seed=0):
+    rng = np.random.default_rng(seed)
+    found = pd.DataFrame(
+        {
+            "age": rng.uniform(20, 80, n),
+            "sex": rng.choice(["f", "m"], n),
+            "hospital": rng.choice(["A", "B", "C"], n, p=[0.6, 0.35, 0.05]),
+            "visit": pd.to_datetime("2024-01-01") + pd.to_timedelta(rng.integers(0, 300, n), "D"),
+        }
+    )
+    dose = found.age / 10 + np.where(found.sex == "f", 5, -5) + rng.normal(0, np.where(found.hospital == "A", 0.2, 2))
+    found.loc[rng.random(n) < 0.1, "age"] = np.nan
+    found.loc[rng.random(n) < 0.1, "sex"] = None
+    return found, pd.Series(dose, name="dose")
+
+
+def ages(X):
+    return np.asarray(X["age"])[:, None]
+
+
+def tree(**options):
+    return ConformalRegressor(DecisionTreeClassifier(max_depth=4, random_state=0), n_bins=8, random_state=0, **options)
+
+
+def kinds(X):
+    """The same table in other libraries, where they are installed."""
+    found = [X]
+    try:
+        import pyarrow as pa
+
+        found.append(pa.Table.from_pandas(X))
+    except ImportError:
+        pass
+    try:
+        import polars as pl
+
+        found.append(pl.DataFrame({name: X[name].astype(object).where(X[name].notna(), None).tolist() for name in X}))
+    except ImportError:
+        pass
+    return found
+
+
+def test_the_encoder_fills_marks_counts_and_names():
+    X = pd.DataFrame({"a": [1.0, np.nan, 5.0], "b": ["x", "y", "x"], "c": [date(2024, 1, 1), None, date(2024, 1, 3)]})
+    day = 19723.0
+    expected = [[1, 0, 1, day, 0], [3, 1, 0, day + 1, 1], [5, 0, 1, day + 2, 0]]
+    encoder = TableEncoder().fit(X)
+    np.testing.assert_array_equal(encoder.transform(X), expected)
+    later = pd.DataFrame({"a": [np.nan], "b": ["never seen"], "c": [date(2024, 1, 2)]})
+    np.testing.assert_array_equal(encoder.transform(later), [[3, 1, 0, day + 1, 0]])
+    with pytest.raises(ConformodalError, match="column a held numbers or dates in training, got text"):
+        encoder.transform(later.assign(a=["1,5"]))
+    with pytest.raises(ConformodalError, match="2 columns, expected 3"):
+        encoder.transform(later[["a", "b"]])
+
+
+def test_every_library_gives_the_same_columns():
+    X, _ = frame(60)
+    expected = TableEncoder().fit(X).transform(X)
+    for other in kinds(X):
+        np.testing.assert_allclose(TableEncoder().fit(other).transform(other), expected)
+
+
+def test_polars_and_pandas_give_the_same_regions():
+    pl = pytest.importorskip("polars")
+    X, y = frame(200)
+    numbers = X[["age", "hospital"]].assign(age=X.age.fillna(50))
+    table, values = pl.DataFrame(numbers.to_dict("list")), pl.Series("dose", y.to_list())
+    inner = make_pipeline(FunctionTransformer(ages), DecisionTreeClassifier(max_depth=4, random_state=0))
+    found = [
+        ConformalRegressor(inner, n_bins=8, random_state=0)
+        .fit(a, b, groups=a["hospital"])
+        .predict_region(a, groups=a["hospital"])
+        .masks[0]
+        for a, b in ((numbers, y), (table, values))
+    ]
+    np.testing.assert_array_equal(*found)
+
+
+@pytest.mark.parametrize(
+    ("column", "expected"),
+    [
+        (pd.Series([1, None, 3], dtype="Int64"), [1, np.nan, 3]),
+        (pd.Series([True, None], dtype="boolean"), [1, np.nan]),
+        (pd.Series([Decimal("0.5"), None]), [0.5, np.nan]),
+        (pd.Series([1, 2], dtype="category"), ["1", "2"]),
+        (pd.Series(["a", None], dtype="string"), ["a", ""]),
+        (pd.Series(pd.to_datetime(["1970-01-02", None])), [1, np.nan]),
+        (pd.Series(pd.to_datetime(["1970-01-02"]).tz_localize("CET")), [1]),
+        (pd.Series(["a", 1]), ["a", "1"]),
+    ],
+)
+def test_columns_are_numbers_or_text(column, expected):
+    np.testing.assert_array_equal(as_column(column, "c"), expected)
+
+
+@pytest.mark.parametrize("value", [[1, 2], {"a": 1}, np.zeros(2), 1j])
+def test_columns_of_other_things_are_not_taken_for_missing_or_text(value):
+    with pytest.raises(ConformodalError, match="column c must hold numbers, dates or text, got"):
+        as_column(pd.Series([value] * 3), "c")
+
+
+def test_a_column_without_values_in_training_tells_nothing():
+    X = pd.DataFrame({"a": [1.0, 2.0], "b": [None, None]})
+    encoder = TableEncoder().fit(X)
+    for later in ("x", 3.0, None):
+        np.testing.assert_array_equal(encoder.transform(X.assign(b=later)), [[1, 0], [2, 0]])
+
+
+@pytest.mark.parametrize(
+    "column",
+    [["a", None, 1, 2.0], ["x", None, "y", "y"], pd.Categorical([1, None, 2, 2]), pd.Categorical(["u", "v"] * 2)],
+)
+def test_a_row_is_the_same_by_itself(column):
+    X = pd.DataFrame({"k": pd.Series(column)}).loc[np.repeat(np.arange(4), 2)]
+    encoder = TableEncoder().fit(X)
+    assert {tuple(row) for row in encoder.transform(X)} == {tuple(row) for row in np.eye(len(X.k.unique()))}
+    rows = [encoder.transform(X.iloc[[i]])[0] for i in range(8)]
+    np.testing.assert_array_equal(rows, encoder.transform(X))
+    for empty in ([None], [np.nan], pd.to_datetime([None])):
+        missing = encoder.transform(pd.DataFrame({"k": empty}))
+        np.testing.assert_array_equal(missing.any(), X.k.isna().any())
+    whole = X[X.k.notna()].assign(k=lambda own: own.k.astype(X.k.dtype.name))  # categories of 1, not 1.0
+    np.testing.assert_array_equal(encoder.transform(whole), encoder.transform(X)[X.k.notna()])
+
+
+def test_gaps_in_categories_of_arrow_stay_gaps():
+    pa = pytest.importorskip("pyarrow")
+    column = pa.array(["a", "b", None, "b"]).dictionary_encode()
+    X = pa.table({"k": pa.chunked_array([column, column])})
+    assert as_column(X.column("k"), "k").tolist() == ["a", "b", "", "b"] * 2
+    assert as_column(pa.chunked_array([pa.array([1, 2]).dictionary_encode()]), "k").tolist() == ["1", "2"]
+
+
+def test_columns_in_another_order_are_refused_whatever_their_names_are():
+    X, y = frame()
+    numbers = X[["age", "sex"]].assign(age=X.age.fillna(50), sex=X.sex == "f")
+    for names in ([0, 1], pd.MultiIndex.from_tuples([("n", "age"), ("n", "sex")])):
+        table = numbers.set_axis(names, axis=1)
+        reg = tree().fit(table, y)
+        np.testing.assert_array_equal(reg.predict(table), tree().fit(numbers, y).predict(numbers))
+        with pytest.raises(ConformodalError, match="another order than in training"):
+            reg.predict(table.iloc[:, ::-1])
+    reg.fit(numbers.to_numpy() * 1.0, y)
+    assert len(reg.predict(numbers)) == N
+
+
+def test_targets_in_another_order_are_refused():
+    X, y = frame()
+    both, numbers = pd.DataFrame({"dose": y, "days": 10 * y}), X[["age"]].fillna(50)
+    reg = tree().fit(numbers, both)
+    regions, density = reg.predict_region(numbers), reg.predict_density(numbers)
+    np.testing.assert_array_equal(regions.contains(both), regions.contains(both.to_numpy()))
+    np.testing.assert_array_equal(regions.contains(both.set_axis(["u", "v"], axis=1)), regions.contains(both))
+    turned = both[["days", "dose"]]
+    calls = (regions.contains, density.pdf, *(lambda y, call=call: call(numbers, y) for call in (
+        reg.conformalize, reg.diagnose, partial(region_scorers()["neg_length"], reg))))  # fmt: skip
+    for call in calls:
+        with pytest.raises(ConformodalError, match="y has its columns in another order"):
+            call(turned)
+
+
+def test_values_beyond_those_learnt_from_are_not_called_few():
+    X, y = frame()
+    reg = tree(calibration_size=0).fit(X[["age"]].fillna(50), y)
+    with pytest.warns(UserWarning, match="unbounded: 50 of 240 calibration samples have values beyond those learnt"):
+        reg.conformalize(X[["age"]].fillna(50), y.where(np.arange(N) >= 50, 1e3))
+
+
+@pytest.mark.parametrize("unit", ["datetime64[s]", "timedelta64[s]", object])
+def test_dates_as_values_are_refused_in_series_too(unit):
+    dates = pd.Series([date(2020, 1, 1)] * 3) if unit is object else pd.Series(np.arange(3), name="d").astype(unit)
+    for y in (dates, dates.to_frame("d")):
+        with pytest.raises(ConformodalError, match=r"y.* must be numeric"):
+            tree().fit(np.zeros((3, 1)), y)
+
+
+def test_columns_that_only_the_estimator_reads_are_left_out_of_a_diagnosis():
+    X, y = frame()
+    numbers = X[["age"]].fillna(50)
+    model = make_pipeline(FunctionTransformer(lambda X: np.stack(X["e"].to_numpy())), tree().estimator)
+    listed = pd.DataFrame({"e": list(numbers.to_numpy())})
+    reg = ConformalRegressor(model, n_bins=8, random_state=0)
+    found, plain = (str(reg.fit(its, y).diagnose(its, y)) for reg, its in ((reg, listed), (tree(), numbers)))
+    assert ("worst slab" in plain, "worst slab" in found) == (True, False)
+    assert "size" in found
+
+
+def test_an_infinite_number_is_told_by_column_and_row():
+    with pytest.raises(ConformodalError, match="column age must be finite or missing, got inf in row 1"):
+        as_column(pd.Series([0.0, np.inf]), "age")
+
+
+def test_a_frame_with_text_and_gaps_needs_no_preparation_and_keeps_its_names():
+    X, y = frame(120)
+    reg = ConformalRegressor(random_state=0).fit(X[:90], y[:90])
+    regions = reg.predict_region(X[90:])
+    assert regions.contains(y[90:]).mean() > 0.7
+    assert reg.feature_names_in_.tolist() == ["age", "sex", "hospital", "visit"]
+    assert regions.bins.names == ["dose"]
+    assert "coverage of dose" in str(reg.diagnose(X[90:], y[90:]))
+
+
+def test_a_classifier_gets_the_rows_of_the_frame_as_they_are():
+    X, y = frame()
+    by_name = make_column_transformer((OneHotEncoder(handle_unknown="ignore"), ["sex"]), ("passthrough", ["age"]))
+    chain = make_pipeline(by_name, DecisionTreeClassifier(max_depth=4, random_state=0))
+    both = pd.DataFrame({"dose": y, "days": 2 * y})
+    reg = ConformalRegressor(chain, n_bins=8, random_state=0).fit(X[:200], both[:200])
+    assert reg.predict_region(X[200:]).bins.names == ["dose", "days"]
+    assert reg.predict_region(X[200:]).contains(both[200:].to_numpy()).mean() > 0.75
+    for other in kinds(X)[1:]:
+        with pytest.raises(ConformodalError, match="feature names"):
+            reg.predict_region(other.select(["sex", "age", "visit", "hospital"]))
+
+
+def test_gaps_in_arrays_reach_an_estimator_that_knows_them_and_no_other():
+    X, y = frame()
+    numbers = X[["age"]].to_numpy()
+    boosted = ConformalRegressor(HistGradientBoostingClassifier(max_iter=3), n_bins=4, random_state=0)
+    assert get_tags(boosted).input_tags.allow_nan
+    assert len(boosted.fit(numbers, y).predict_region(numbers)) == N
+    with pytest.raises(ConformodalError, match="cannot be fitted: Input X contains NaN"):
+        ConformalRegressor(LogisticRegression()).fit(numbers, y)
+    with pytest.raises(ConformodalError, match="infinity"):
+        tree().fit(numbers * np.inf, y)
+
+
+def test_sparse_columns_stay_sparse():
+    X, y = frame()
+    wide = OneHotEncoder().fit_transform(X[["sex", "hospital"]].astype(str))
+    reg = tree().fit(wide, y)
+    assert sparse.issparse(wide)
+    np.testing.assert_array_equal(reg.predict(wide), tree().fit(wide.toarray(), y).predict(wide.toarray()))
+    assert reg.diagnose(wide, y).columns[0].slab is None
+    with pytest.raises(ConformodalError, match="sparse"):
+        ConformalRegressor().fit(wide, y)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [lambda y: y, pd.Series.to_frame, pd.Series.to_numpy, pd.Series.to_list, lambda y: y.astype(object).to_list(),
+     lambda y: y.astype(object).where(y.notna(), None).to_list()],
+)  # fmt: skip
+def test_rows_without_a_value_are_refused(form):
+    X, y = frame()
+    y = y.where(~y.index.isin([3, 17]))
+    with pytest.raises(ConformodalError, match=r"y"):
+        tree().fit(X[["age"]], form(y))
+
+
+def test_groups_are_covered_each():
+    X, y = frame(1200)
+    X["sex"] = (X.sex == "f") * 1.0
+    numbers = X[["age", "sex"]]
+    few = {"C": int((X.hospital[:600] == "C").sum())}
+    assert 20 < few["C"] < 45  # too few to calibrate, a fifth of them
+    with pytest.warns(UserWarning, match="regions of 1 group with .*'C'"):
+        reg = tree().fit(numbers[:600], y[:600], groups=X.hospital[:600])
+    assert isinstance(reg.calibrator_, MondrianConformal)
+    assert set(reg.calibrator_.sizes_) == {"A", "B", "C"}
+    regions = reg.predict_region(numbers[600:], groups=X.hospital[600:])
+    new = X.hospital[600:].to_numpy()
+    assert regions.unbounded[new == "C"].all()
+    assert not regions.unbounded[new != "C"].any()
+    told = reg.diagnose(numbers[600:], y[600:], groups=new)
+    assert told.columns[0].coverage.inside
+    assert all(check.inside for check in told.columns[0].by_group.values())
+    assert "of each group" in str(told)
+    np.testing.assert_array_equal(reg.predict(numbers[600:], region=True, groups=new).masks[0], regions.masks[0])
+
+    tight = reg.predict_region(numbers[600:], alpha=0.3, groups=new)
+    assert (tight.masks[0] <= regions.masks[0]).all()
+
+
+def test_two_targets_in_groups_are_covered_together():
+    X, y = frame(900)
+    numbers, labels = X[["age"]].to_numpy(), np.where(X.hospital == "A", "A", "other")
+    both = np.column_stack([y, -(y**2)])
+    reg = tree(joint="max").fit(numbers[:600], both[:600], groups=labels[:600])
+    told = reg.diagnose(numbers[600:], both[600:], groups=labels[600:])
+    assert [column.name for column in told.columns] == ["all targets"]
+    assert told.columns[0].coverage.inside
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda X, y: tree().fit(X, y).predict_region(X, groups=np.zeros(N)), "must be None"),
+        (lambda X, y: tree().fit(X, y, groups=np.zeros(N)).predict_region(X), "are needed"),
+        (lambda X, y: tree().fit(X, y, groups=np.zeros(N)).conformalize(X, y), "are needed"),
+        (lambda X, y: tree().fit(X, y, groups=np.zeros(3)), "one label per sample"),
+        (
+            lambda X, y: tree().fit(X, y, groups=np.arange(N)),
+            "240 of .* calibrate, 1 or more of each of 240 groups: at",
+        ),
+        (lambda X, y: tree().fit(X, y.to_frame()[[]]), "y must have shape"),
+        (lambda X, y: tree().fit(X, y).predict(X, groups=np.zeros(N)), "groups must be None unless region"),
+    ],
+)
+def test_groups_that_do_not_fit_are_refused(call, says):
+    X, y = frame()
+    with pytest.raises(ConformodalError, match=says):
+        call(X[["age"]].fillna(50), y)
+
+
+def test_every_group_is_split_by_itself():
+    X, y = frame()
+    reg = tree().fit(X[["age"]], y, groups=np.repeat([0, 1], [190, 50]))
+    assert reg.calibrator_.sizes_ == {0: 38, 1: 10}
+
+
+@pytest.mark.filterwarnings("ignore:regions are unbounded")
+def test_few_rows_are_rarely_unbounded_and_never_without_a_warning():
+    unbounded = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        X = rng.normal(size=(50, 1))
+        y = X[:, 0] + rng.standard_normal(50)
+        unbounded += tree().fit(X, y).predict_region(X[:1]).unbounded.any()
+    assert unbounded <= 2  # 12 of 40 where the outer bins end with the range
+    with pytest.warns(UserWarning, match="regions are unbounded: 4 calibration samples are too few for alpha"):
+        tree().fit(X[:20], y[:20])
+    with pytest.warns(UserWarning, match="regions are unbounded: 1 calibration sample is too few"):
+        tree().fit(X[:5], y[:5])
+
+
+def test_tail_bins_lie_beyond_the_others():
+    plain, tailed = QuantileBins(4, margin=0.1).fit([0.0, 1, 2, 10]), QuantileBins(4, 0.1, tail=1).fit([0.0, 1, 2, 10])
+    np.testing.assert_array_equal(tailed.edges_[0][1:-1], plain.edges_[0])
+    assert tailed.edges_[0][[0, -1]].tolist() == [-13.0, 23.0]

@@ -1,0 +1,195 @@
+"""The workflow of scikit-learn: chains, searches, transformed targets, routing, scorers, and demanding classifiers."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn import config_context
+from sklearn.base import BaseEstimator, ClassifierMixin
+from sklearn.compose import TransformedTargetRegressor, make_column_transformer
+from sklearn.exceptions import NotFittedError
+from sklearn.linear_model import Ridge
+from sklearn.metrics import r2_score
+from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_predict, cross_val_score, cross_validate
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import FunctionTransformer, OneHotEncoder, StandardScaler
+from sklearn.tree import DecisionTreeClassifier
+
+from conformodal.conformal import (
+    ConformalRegressor,
+    ConformodalError,
+    QuantileBins,
+    Regions,
+    SplitConformal,
+    log_density,
+    region_scorers,
+)
+from conformodal.conformal.scorers import interval_score
+
+RNG = np.random.default_rng(0)
+X = RNG.uniform(-1, 1, (300, 2))
+Y = np.exp(RNG.choice([-1, 1], 300) * (1 + X[:, 0]) + RNG.normal(0, 0.1, 300))
+FRAME = pd.DataFrame(X, columns=["a", "b"]).assign(site=np.where(X[:, 1] > 0, "north", "south"))
+PLACES = ["hand", "foot"]
+
+
+def tree(**options):
+    inner = DecisionTreeClassifier(max_depth=4, random_state=0)
+    return ConformalRegressor(inner, **({"n_bins": 8, "random_state": 0} | options))
+
+
+def chain(**options):
+    return make_pipeline(StandardScaler(), tree(**options))
+
+
+def encoder():
+    return make_column_transformer((OneHotEncoder(sparse_output=False), ["site"]), remainder="passthrough")
+
+
+WORKFLOWS = {
+    "pipeline": lambda: chain().fit(X, Y),
+    "set_output": lambda: make_pipeline(encoder(), tree()).set_output(transform="pandas").fit(FRAME, Y),
+    "search over a parameter": lambda: GridSearchCV(tree(), {"n_bins": [4, 8]}, cv=2).fit(X, Y).best_estimator_,
+    "search over the inner estimator": lambda: (
+        GridSearchCV(chain(), {"conformalregressor__estimator__max_depth": [1, 4]}, cv=2).fit(X, Y).best_estimator_
+    ),
+    "search over scores": lambda: (
+        GridSearchCV(tree(), {"conformity_score": ["lac", "density"]}, cv=2, scoring=region_scorers(0.2)["neg_length"])
+        .fit(X, Y)
+        .best_estimator_
+    ),
+    "several scorers": lambda: (
+        GridSearchCV(chain(), {"conformalregressor__n_bins": [8]}, scoring=region_scorers(), refit="neg_length", cv=2)
+        .fit(X, Y)
+        .best_estimator_
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WORKFLOWS)
+def test_it_works_inside(name):
+    model = WORKFLOWS[name]()
+    table = FRAME if name == "set_output" else X
+    regions = model.predict(table, region=True, alpha=[0.1, 0.3])
+    assert [isinstance(one, Regions) for one in regions] == [True, True]
+    assert regions[0].contains(Y).mean() > 0.8
+    assert model.predict(table).shape == (300,)
+    assert np.isfinite(model.score(table, Y))
+    for scorer in region_scorers(0.3).values():
+        assert np.isfinite(scorer(model, table, Y))
+
+
+def test_out_of_fold_predictions_and_scores():
+    assert cross_val_predict(chain(), X, Y, cv=3).shape == (300,)
+    scores = [cross_val_score(model, X, Y, cv=3, scoring=log_density).mean() for model in (chain(n_bins=2), chain())]
+    assert scores[0] < scores[1]
+    found = cross_validate(chain(), X, Y, cv=3, scoring=region_scorers(0.2))
+    assert abs(found["test_coverage"].mean() - 0.8) < 0.12
+    assert (found["test_neg_interval_score"] <= found["test_neg_length"]).all()
+
+
+def test_the_score_is_that_of_the_means_and_the_log_density_has_a_scorer():
+    reg = tree().fit(X, Y)
+    assert reg.score(X, Y) == r2_score(Y, reg.predict(X))
+    density, weight = reg.predict_density(X).pdf(Y)[:, 0], RNG.uniform(size=300)
+    inside = density > 0
+    assert log_density(reg, X[inside], Y[inside]) == pytest.approx(np.log(density[inside]).mean())
+    expected = np.average(np.log(density[inside]), weights=weight[inside])
+    assert log_density(reg, X, Y, weight * inside) == pytest.approx(expected)
+    assert log_density(reg, X[:1], [1e9]) == pytest.approx(np.log(1e-6 / np.ptp(reg.bins_.edges_[0])))
+    both = np.column_stack((Y, Y))
+    assert log_density(tree().fit(X, both), X, both) == pytest.approx(2 * log_density(reg, X, Y), rel=0.2)
+
+
+@pytest.mark.parametrize(("function", "inverse"), [(np.log, np.exp), (np.negative, np.negative)])
+def test_a_transformed_target_keeps_its_regions(function, inverse):
+    model = TransformedTargetRegressor(tree(), func=function, inverse_func=inverse).fit(X, Y)
+    assert model.predict(X).shape == (300,)
+    own = model.regressor_.predict_region(X)
+    regions = own.mapped(model.transformer_.inverse_transform)
+    np.testing.assert_array_equal(regions.contains(Y), own.contains(function(Y)))
+    np.testing.assert_allclose(np.sort(function(regions.intervals(0)[0]).ravel()), own.intervals(0)[0].ravel())
+    with pytest.raises(ConformodalError, match="function must be strictly monotone, found 0"):
+        own.mapped(np.cos)
+
+
+def test_given_rows_calibrate_through_the_transformers():
+    model = chain(calibration_size=0).fit(X[:150], Y[:150])
+    model[-1].conformalize(model[:-1].transform(X[150:]), Y[150:])
+    assert model[-1].calibrator_.scores_.shape == (150, 1)
+    assert model.predict(X, region=True).contains(Y).mean() > 0.8
+
+
+@pytest.mark.parametrize("groups", [None, np.repeat(PLACES, 150)])
+def test_weights_and_groups_are_routed(groups):
+    weight = np.where(X[:, 0] > 0.5, 0.0, 1.0)
+    with config_context(enable_metadata_routing=True):
+        reg = (
+            tree().set_fit_request(sample_weight=True, groups=groups is not None).set_score_request(sample_weight=True)
+        )
+        scorers = region_scorers(0.2)
+        if groups is not None:
+            for scorer in scorers.values():
+                scorer.set_score_request(groups=True)
+        given = {"sample_weight": weight} | ({} if groups is None else {"groups": groups})
+        model = make_pipeline(StandardScaler().set_fit_request(sample_weight=False), reg).fit(X, Y, **given)
+        options = {} if groups is None else {"groups": groups}
+        assert len(model.predict(X, region=True, **options)) == 300
+        assert model.score(X, Y, sample_weight=weight) != model.score(X, Y)
+        assert model[-1].calibrator_.scores_.shape[0] < 60  # a fifth of the rows that weigh
+        found = cross_validate(model, X, Y, cv=2, scoring=scorers, params=given)
+        assert (found["test_coverage"] > 0.5).all()
+        folds = cross_validate(
+            tree().set_fit_request(groups=False), X, Y, cv=GroupKFold(2), params={"groups": np.arange(300) % 7}
+        )
+        assert np.isfinite(folds["test_score"]).all()
+
+
+class Demanding(ClassifierMixin, BaseEstimator):
+    """Takes labels 0..K-1 only, as XGBoost does."""
+
+    def fit(self, X, y):
+        if not np.array_equal(np.unique(y), np.arange(y.max() + 1)):
+            raise ValueError(f"Invalid classes inferred from unique values of `y`, got {np.unique(y)}")
+        self.inner_ = DecisionTreeClassifier(max_depth=3, random_state=0).fit(X, y)
+        self.classes_ = self.inner_.classes_
+        return self
+
+    def predict_proba(self, X):
+        return self.inner_.predict_proba(X)
+
+
+def test_a_classifier_that_demands_labels_without_gaps_gets_them():
+    y = np.repeat([0.0, 5.0, 9.0, 20.0, 21.0], 60) + RNG.normal(0, 0.01, 300)
+    own = np.column_stack((y + RNG.normal(0, 0.01, 300), X))
+    y[:3] = [30, 40, 50]  # bins that some folds do not see
+    plain = ConformalRegressor(DecisionTreeClassifier(max_depth=3, random_state=0), n_bins=150, random_state=0)
+    reg = ConformalRegressor(Demanding(), n_bins=150, random_state=0).fit(own, y)
+    np.testing.assert_array_equal(reg.predict_bins(own)[0], plain.fit(own, y).predict_bins(own)[0])
+
+
+@pytest.mark.parametrize("model", [Ridge(), TransformedTargetRegressor(tree())])
+def test_scorers_name_an_estimator_without_regions(model):
+    with pytest.raises(
+        ConformodalError, match=f"must be a ConformalRegressor or a pipeline .* got {type(model).__name__}"
+    ):
+        region_scorers()["coverage"](model.fit(X, Y), X, Y)
+    with pytest.raises(NotFittedError):
+        region_scorers()["coverage"](tree(), X, Y)
+
+
+def test_scorers_pass_on_what_a_step_before_the_regressor_raises():
+    pipeline = make_pipeline(FunctionTransformer(lambda X: X if len(X) > 50 else X.lost), tree()).fit(X, Y)
+    with pytest.raises(AttributeError, match="no attribute 'lost'"):
+        region_scorers()["coverage"](pipeline, X[:50], Y[:50])
+
+
+def test_the_interval_score_is_that_of_one_interval():
+    bins = QuantileBins.from_edges([[0, 1, 2, 3]])
+    masks = np.array([[True, True, False], [True, False, True], [False, False, False], [True, False, False]])
+    regions = Regions(bins, [masks], np.zeros((4, 1), dtype=bool))
+    values = np.array([[2.5], [-1.0], [1.0], [20.0]])
+    np.testing.assert_allclose(interval_score(regions, values, 0.1)[:, 0], [12, 22, 60, 381])
+    reg = SplitConformal(bins).calibrate(np.full((5, 3), 1 / 3), np.zeros(5))
+    assert np.isinf(interval_score(reg.predict(np.full((1, 3), 1 / 3)), np.zeros((1, 1)), 0.1)).all()
+    with pytest.raises(ConformodalError, match="alpha"):
+        region_scorers(2)
