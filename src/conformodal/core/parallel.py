@@ -5,10 +5,11 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import AbstractContextManager, suppress
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from functools import cache
+from threading import Event
 from typing import Any, TypeVar
 
 from threadpoolctl import ThreadpoolController
@@ -19,42 +20,45 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _limit: int | None = None
-# the errors of each call of in_threads that the thread works for, of those around the innermost one too
-_errors: ContextVar[tuple[list[BaseException], ...]] = ContextVar("errors", default=())
+# set when a call of in_threads that the thread works for has failed, for those around the innermost one too
+_failed: ContextVar[tuple[Event, ...]] = ContextVar("failed", default=())
 
 
 def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: Progress | None = None) -> list[Result]:
     """Results of `work` in the order of the items, which do not depend on the number of threads.
 
     Matrix products take one thread each, see :func:`one_blas_thread`. The first error, or an interrupt of the main
-    thread, ends what the other threads do, see :func:`go_on`.
+    thread, ends what the other threads do, see :func:`raise_if_cancelled`.
     """
-    errors: list[BaseException] = []
-    around = (*_errors.get(), errors)
+    failed, context = Event(), copy_context()
+    context.run(_failed.set, (*_failed.get(), failed))
 
     def checked(item: Item) -> Result:
-        before = _errors.set(around)
-        try:
-            go_on()
-            return work(item)
-        except BaseException as exc:
-            errors.append(exc)
-            raise
-        finally:
-            _errors.reset(before)
+        raise_if_cancelled()
+        return work(item)
 
-    found = []
     with one_blas_thread(), ThreadPoolExecutor(thread_limit()) as pool:
+        if min(len(items), thread_limit()) <= 1:  # in this thread, where an interrupt arrives
+            results: list[Result] = []
+            for item in items:
+                results.append(checked(item))
+                _report(progress, len(results), len(items))
+            return results
+        futures = [pool.submit(context.copy().run, checked, item) for item in items]
         try:
-            for result in (pool.map if min(len(items), thread_limit()) > 1 else map)(checked, items):
-                found.append(result)
-                if progress is not None:
-                    progress(len(found), len(items))
-        except BaseException as exc:
-            errors.append(exc)
-    if errors:
-        raise errors[0]  # the others ended because of it
-    return found
+            for done, future in enumerate(as_completed(futures), start=1):
+                future.result()
+                _report(progress, done, len(items))
+        except BaseException:
+            failed.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [future.result() for future in futures]
+
+
+def _report(progress: Progress | None, done: int, total: int) -> None:
+    if progress is not None:
+        progress(done, total)
 
 
 def side_by_side(one: Callable[[], Item], other: Callable[[], Result]) -> tuple[Item, Result]:
@@ -64,9 +68,9 @@ def side_by_side(one: Callable[[], Item], other: Callable[[], Result]) -> tuple[
     return first, second
 
 
-def go_on() -> None:
+def raise_if_cancelled() -> None:
     """Raise KeyboardInterrupt if other work of a call of :func:`in_threads` around this one has failed."""
-    if any(_errors.get()):
+    if any(event.is_set() for event in _failed.get()):
         raise KeyboardInterrupt
 
 

@@ -1,4 +1,4 @@
-"""Values that settings may have, for the Python interface and the command line: ranges, and members of enumerations."""
+"""Values that settings may have: ranges, and members of enumerations."""
 
 from __future__ import annotations
 
@@ -42,33 +42,21 @@ class Range:
         return f"{low} and {'less than' if self.high_open else 'at most'} {f'{self.high:.10g}'}"
 
 
-def _whole(low: int, high: float = math.inf) -> Range:
-    return Range(low, high, whole=True)
-
-
 _SHARE = Range(0, 1, low_open=True, high_open=True)
-_POSITIVE = Range(0, low_open=True)
-_MANY = 1_000_000
 RANGES = {
     # probabilities of a thousand samples over the most bins take 0.8 GB
-    "n_bins": _whole(1, 100_000),
+    "n_bins": Range(1, 100_000, whole=True),
     "sigma_bins": Range(0, 10_000),
-    "epochs": _whole(1, _MANY),
-    "batch_size": _whole(1),
-    "learning_rate": _POSITIVE,
+    "epochs": Range(1, 1_000_000, whole=True),
+    "batch_size": Range(1, whole=True),
+    "learning_rate": Range(0, low_open=True),
     "dropout": Range(0, 0.95),
     "test": _SHARE,
     "calibration": _SHARE,
     "used": Range(0, 1, low_open=True),
     "novelty_level": Range(0, 1, high_open=True),
-    "seed": _whole(0, 2**31 - 1),
-    "n_blocks": _whole(1),
-    "seeds": _whole(1, 10_000),
-    "first_seed": _whole(0, 2**30),
-    "workers": _whole(1, 1024),
-    "limit": _whole(1),
-    "metres_per_radian": _POSITIVE,
-    "max_gap": Range(0),
+    "seed": Range(0, 2**31 - 1, whole=True),
+    "n_blocks": Range(1, whole=True),
 }
 
 
@@ -80,20 +68,13 @@ def check_ranges(settings: Mapping[str, Any], error: type[ConformodalError]) -> 
             raise error(f"{name} must be {allowed}, got {value!r}")
 
 
-def check_shares(
-    test: float,
-    calibration: float,
-    used: float | None,
-    error: type[ConformodalError],
-    names: tuple[str, str, str] = ("test", "calibration", "used"),
-) -> None:
-    """Raise `error` for shares of frames that leave nothing to train on; `names` are for the message."""
+def check_shares(test: float, calibration: float, used: float | None, error: type[ConformodalError]) -> None:
+    """Raise `error` for shares of frames that leave nothing to train on."""
     if test + calibration >= 1:
-        raise error(f"{names[0]} and {names[1]} must leave something to train on, got {test} and {calibration}")
+        raise error(f"test and calibration must leave something to train on, got {test} and {calibration}")
     if used is not None and not calibration < used <= 1 - test + 1e-9:
         raise error(
-            f"{names[2]} must be more than {names[1]} ({calibration}) and at most what {names[0]} ({test}) leaves, "
-            f"got {used}"
+            f"used must be more than calibration ({calibration}) and at most what test ({test}) leaves, got {used}"
         )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import FloatArray, IntArray, RealArray
-from conformodal.core.parallel import go_on, in_threads
+from conformodal.core.parallel import in_threads, raise_if_cancelled
 
 from .belief import Beliefs, belief_cells
 from .candidates import mode_candidates
@@ -50,7 +50,7 @@ class Localizer:
         kinds = [find_source(name) for name in names]
 
         def report(stage: str, done: int, total: int) -> None:
-            go_on()
+            raise_if_cancelled()
             if data.progress is not None:
                 data.progress(stage, done, total)
 
@@ -58,7 +58,7 @@ class Localizer:
             kind, numbers = job
             sources = []
             for k in numbers:
-                go_on()
+                raise_if_cancelled()
                 sources.append(kind.fit(replace(data, progress=report), parts[k]))
             return sources
 

@@ -17,7 +17,7 @@ from conformodal.conformal.calibrators.base import Joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import is_per_unit
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, evenly_spread, rows_by_label
-from conformodal.core.parallel import go_on, in_threads
+from conformodal.core.parallel import in_threads, raise_if_cancelled
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.features.backbone import Backbone
 from conformodal.features.extract import FeatureCache, extract_features
@@ -219,7 +219,7 @@ def calibrate_paths(
             true = truth[held_out[at]]
             right = same_place(best, true.positions_xyz, true.orientations_quat_wxyz, prior)
             wrong[start + at] = np.where(right, -np.inf, probability)
-            go_on()
+            raise_if_cancelled()
         for path, posteriors in found.items():
             if not posteriors:
                 continue

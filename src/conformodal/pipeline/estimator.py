@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import IntArray, UInt8Array
-from conformodal.core.parallel import go_on, one_blas_thread
+from conformodal.core.parallel import one_blas_thread, raise_if_cancelled
 from conformodal.core.progress import StageProgress
 from conformodal.features.local import extract_local_features
 from conformodal.geometry import PinholeCamera, RelativeMotion, Trajectory
@@ -141,7 +141,7 @@ class Odometry(ABC):
         answers: list[tuple[int, Estimate]] = []
         with StreamRunner(self._fresh(), keep_regions=True) as runner, closing(prefetch(stream)) as coming:
             for done, frame in enumerate(coming, start=1):
-                go_on()
+                raise_if_cancelled()
                 estimate = runner.push(frame)
                 if estimate is not None and estimate.region is None:
                     unreadable[frame.index] = frame.problem or estimate.problem

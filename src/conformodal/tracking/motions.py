@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from conformodal.core.arrays import IntArray
-from conformodal.core.parallel import go_on
+from conformodal.core.parallel import raise_if_cancelled
 from conformodal.core.progress import StageProgress
 from conformodal.features.local import LocalFeatures, extract_local_features
 from conformodal.geometry import RelativeMotion, Submap
@@ -55,7 +55,7 @@ def measure_motions(
     corners: dict[int, Corners] = {}
     span = range(int(frames.min()), int(frames.max()) + 1) if frames.size else range(0)
     for done, i in enumerate(span, start=1):
-        go_on()
+        raise_if_cancelled()
         if sequence.recording[i] != recording:
             _append_submaps(record, corners, sequence)
             corners = {}
