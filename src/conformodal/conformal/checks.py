@@ -116,7 +116,8 @@ def as_reals(values: Any, name: str) -> RealArray:
         if arr.dtype.kind not in "biufO" or not all(
             isinstance(v, (Real, Decimal)) for v in arr.flat if arr.dtype == object
         ):
-            raise TypeError(f"expected real numbers, got {arr.dtype}")
+            problem = "Complex data not supported" if arr.dtype.kind == "c" else "expected real numbers"
+            raise TypeError(f"{problem}, got {arr.dtype}")
         with np.errstate(over="ignore"):
             return arr.astype(np.float32 if arr.dtype.char in "ef" else np.float64, copy=False)
     except (TypeError, ValueError, OverflowError, RuntimeError) as exc:

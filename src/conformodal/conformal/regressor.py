@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal, Self, TypeAlias, cast, overload
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import issparse
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils import check_consistent_length, get_tags
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -29,6 +30,7 @@ from .checks import (
     as_number,
     as_probabilities,
     as_random,
+    as_reals,
     as_targets,
     brief,
     column_names,
@@ -219,7 +221,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def predict_density(self, X: Any) -> PredictiveDensity:
         """Distributions of new samples: density, quantiles, mode, samples, and the probability of each interval."""
-        return PredictiveDensity(self.bins_, self.predict_bins(X))
+        proba = self.predict_bins(X)
+        return PredictiveDensity(self.bins_, proba)
 
     @overload
     def predict(self, X: Any, region: Literal[False] = False, alpha: Any = None, groups: Any = None) -> FloatArray: ...
@@ -342,7 +345,11 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             raise ConformodalError(reason(exc)) from None
         columns = column_names(X, "X", None if reset else self._columns)
         self._columns: list[str] = columns if reset else self._columns
-        return checked[0] if isinstance(checked, tuple) else checked
+        features = checked[0] if isinstance(checked, tuple) else checked
+        if is_frame(X) or issparse(features):
+            return features
+        # scikit-learn reads text and dates among objects as numbers
+        return as_reals(X if getattr(X, "dtype", np.dtype(float)).kind == "O" else features, "X")
 
     def _table(self, X: Any, y: Any, reset: bool = False) -> tuple[Any, FloatArray, list[str] | None]:
         """Features, values and the targets' names."""
