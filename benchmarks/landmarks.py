@@ -24,7 +24,7 @@ from common import DATA, parser_of, write_table
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.files import default_cache_dir
 from conformodal.features import local as local_features
-from conformodal.features.backbone import global_descriptors
+from conformodal.features.backbone import at_unit_length, coarse_features
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.settings import LOCAL_FEATURES
 from conformodal.io import Disturbance, Recording, read_recording
@@ -73,7 +73,9 @@ def errors(source: str, target: str, third: int | None) -> dict[tuple[str, bool]
     queries = {disturbed: replace(new, noise=Disturbance(0) if disturbed else None) for disturbed in (False, True)}
     paths = [new.image_paths[i] for i in asked]
     query_maps = {
-        disturbed: global_descriptors(extract_features(paths, data.backbone, cache, None, query.noise), grid)
+        disturbed: at_unit_length(
+            coarse_features(extract_features(paths, data.backbone, cache, None, query.noise), grid)
+        )
         for disturbed, query in queries.items()
     }
     results: dict[tuple[str, bool], tuple[FloatArray, float]] = {}
@@ -81,7 +83,7 @@ def errors(source: str, target: str, third: int | None) -> dict[tuple[str, bool]
         with with_corners(corners):
             images = [frame_features(mapped, i) for i in frames.tolist()]
             if by_network:
-                maps = global_descriptors(data.features[frames], grid)
+                maps = at_unit_length(coarse_features(data.features[frames], grid))
                 images = [image._replace(global_descriptor=row) for image, row in zip(images, maps, strict=True)]
             built = mapping.build_map(images, mapped.require_truth()[frames].poses_se3, mapped.camera, depth_m)
             for disturbed, query in queries.items():

@@ -14,6 +14,7 @@ from unseen import ALPHA, KNOWN, corridor_flights
 
 from conformodal.core.files import default_cache_dir
 from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.novelty import PlaceNovelty
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.folds import make_folds
@@ -31,9 +32,9 @@ def p_values(seed: int, cache: FeatureCache, scratch: Path) -> dict[str, np.ndar
     frames = folds.region_frames
     novelty = PlaceNovelty.fit(data.features[frames], folds.pieces[frames], data.backbone.config.grid)
     assert novelty is not None
-    by_flight = {KNOWN: novelty.p_values(data.features[data.split.test])}
+    by_flight = {KNOWN: novelty.p_values(FrameEvidence(data.features[data.split.test]))}
     for name, flight in flights.items():
-        by_flight[name] = novelty.p_values(extract_features(flight.image_paths, data.backbone, cache))
+        by_flight[name] = novelty.p_values(FrameEvidence(extract_features(flight.image_paths, data.backbone, cache)))
     return by_flight
 
 

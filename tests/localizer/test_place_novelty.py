@@ -43,7 +43,7 @@ def kinds_of(model, p):
 
 def test_test_frames_are_known(model, features):
     """They were held out at random, as every reference frame is from itself: P(p <= u) <= u."""
-    p = model.novelty.p_values(features)
+    p = model.novelty.p_values(FrameEvidence(features))
     assert ((p > 0) & (p <= 1)).all()
     assert p.max() > 0.9
     assert len(np.unique(p)) > 0.5 * len(p)
@@ -56,7 +56,7 @@ def test_test_frames_are_known(model, features):
 
 @pytest.mark.parametrize("what", SOMETHING_ELSE)
 def test_other_content_has_the_least_p_value(model, what):
-    p = model.novelty.p_values(seen(model, SOMETHING_ELSE[what]))
+    p = model.novelty.p_values(FrameEvidence(seen(model, SOMETHING_ELSE[what])))
     assert p == model.novelty.test.least_p == 1 / (len(model.split.train) + 1)
 
 
@@ -84,7 +84,7 @@ def test_a_stream_says_that_it_does_not_know_a_place_and_goes_on(model, sequence
 
 
 def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
-    p, strict = model.novelty.p_values(features), replace(model)
+    p, strict = model.novelty.p_values(FrameEvidence(features)), replace(model)
     strict.set_novelty_level(0.2)
     np.testing.assert_array_equal(kinds_of(strict, p) == EvidenceType.UNKNOWN, p <= 0.2)
     known = model.rules.known_p > np.where(model.rules.recognised, 0.1, 0.2)
@@ -124,8 +124,8 @@ def made_features(rng, n, grid=GRID, channels=4):
 def test_a_camera_that_stands_still_sees_what_is_known(n):
     picture = made_features(np.random.default_rng(0), 1)
     known = PlaceNovelty.fit(np.repeat(picture, n, axis=0), np.arange(n), GRID)
-    assert known.p_values(picture) == 1
-    np.testing.assert_array_equal(known.p_values(np.repeat(picture, 300, axis=0)), 1)
+    assert known.p_values(FrameEvidence(picture)) == 1
+    np.testing.assert_array_equal(known.p_values(FrameEvidence(np.repeat(picture, 300, axis=0))), 1)
 
 
 def test_repeated_pictures_keep_the_guarantee():
@@ -135,7 +135,7 @@ def test_repeated_pictures_keep_the_guarantee():
     for _ in range(300):
         drawn = rng.integers(0, len(pictures), n + 1)
         known = PlaceNovelty.fit(pictures[drawn[:-1]], np.arange(n), GRID)
-        found.append(known.p_values(pictures[drawn[-1:]])[0] <= level)
+        found.append(known.p_values(FrameEvidence(pictures[drawn[-1:]]))[0] <= level)
     assert sum(found) <= stats.binom.ppf(0.999, len(found), level)
 
 

@@ -62,9 +62,11 @@ def test_disturbed_images_have_the_quantile_of_disturbed_frames_of_known_places(
     assert kinds.tolist() == [DISTURBED, LANDMARKS, UNKNOWN]
     own = conformal_quantile(copies.scores_[p > 0.05].max(axis=1), 0.4)
     np.testing.assert_array_equal(rules.by_type[DISTURBED].thresholds_, np.full(7, own))
-    for recognised, other in ((True, LANDMARKS), (False, UNMATCHED)):  # never below that of the type it has otherwise
-        expected = np.maximum(own, rules.by_type[other].thresholds_)
-        np.testing.assert_array_equal(rules.thresholds(kinds[:1], np.array([recognised]))[0], expected)
+    others = [rules.by_type[other].thresholds_ for other in (LANDMARKS, UNMATCHED)]
+    np.testing.assert_array_equal(rules.thresholds(kinds[:1])[0], np.maximum(own, np.max(others, axis=0)))
+    unmatched = replace(rules, recognised=np.zeros(80, dtype=bool))  # nothing calibrates LANDMARKS
+    expected = np.maximum(own, unmatched.by_type[UNMATCHED].thresholds_)
+    np.testing.assert_array_equal(unmatched.thresholds(kinds[:1])[0], expected)
 
 
 @pytest.mark.parametrize(("n_matched", "bounded"), [(0, False), (8, False), (9, True)])

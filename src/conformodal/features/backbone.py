@@ -56,9 +56,8 @@ def coarse_features(features: Float32Array, grid: tuple[int, int]) -> Float32Arr
     return np.asarray(cells.mean(axis=(3, 5)).reshape(len(features), -1), dtype=np.float32)
 
 
-def global_descriptors(features: Float32Array, grid: tuple[int, int]) -> Float32Array:
+def at_unit_length(maps: Float32Array) -> Float32Array:
     """:func:`coarse_features` (n, G) at unit length: they retrieve the right place more often than thumbnails."""
-    maps = coarse_features(features, grid)
     return np.asarray(maps / np.maximum(np.linalg.norm(maps, axis=1, keepdims=True), 1e-9), dtype=np.float32)
 
 

@@ -39,18 +39,20 @@ class Beliefs:
     @property
     def recognised(self) -> BoolArray:
         """(n,) whether a place was recognised by local features."""
-        return np.array([bool(recognised_only(its)) for its in self.estimates], dtype=np.bool_)
+        return np.array([bool(recognised_only(estimates)) for estimates in self.estimates], dtype=np.bool_)
 
     @property
     def recognition(self) -> FloatArray:
         """(n,) how strongly a place was recognised: inliers times the share of the image they cover; 0 if none was."""
-        strengths = ([one.n_inliers * one.image_share for one in recognised_only(its)] for its in self.estimates)
-        return np.array([max(its, default=0.0) for its in strengths])
+        strengths = (
+            [one.n_inliers * one.image_share for one in recognised_only(estimates)] for estimates in self.estimates
+        )
+        return np.array([max(estimates, default=0.0) for estimates in strengths])
 
     def part(self, rows: slice | IntArray) -> Beliefs:
         """The beliefs about some of the images."""
-        its = np.arange(len(self))[rows].tolist()
-        mixtures, estimates = [self.mixtures[i] for i in its], [self.estimates[i] for i in its]
+        numbers = np.arange(len(self))[rows].tolist()
+        mixtures, estimates = [self.mixtures[i] for i in numbers], [self.estimates[i] for i in numbers]
         return Beliefs([p[rows] for p in self.proba], mixtures, estimates)
 
     def after(self, posteriors: Sequence[Posterior]) -> Beliefs:
@@ -59,15 +61,15 @@ class Beliefs:
         The latter keeps a share whatever the posterior claims, which may be sure and wrong through a whole stretch.
         """
         mixtures = []
-        for own, posterior in zip(self.mixtures, posteriors, strict=True):
-            known = np.ones(len(posterior.hypotheses.log_mass), dtype=np.bool_)
-            joined = posterior.with_image(own.candidates, FILTER.least_own)
-            mixtures.append(Mixture(joined, np.concatenate((known, own.measured))))
+        for mixture, posterior in zip(self.mixtures, posteriors, strict=True):
+            from_posterior = np.ones(len(posterior.hypotheses.log_mass), dtype=np.bool_)
+            joined = posterior.with_image(mixture.candidates, FILTER.least_own)
+            mixtures.append(Mixture(joined, np.concatenate((from_posterior, mixture.measured))))
         return Beliefs(self.proba, mixtures, self.estimates)
 
     def marginals(self, bins: QuantileBins, cells: QuantileBins, sign_reference: FloatArray) -> list[FloatArray]:
         """Seven arrays (n, cells) of probabilities whose rows sum to one, over the :func:`belief_cells` of the bins."""
-        found = [on_cells(p.astype(np.float64) / cells_per_bin(bins), bins) for p in self.proba]
+        blocks = [on_cells(p.astype(np.float64) / cells_per_bin(bins), bins) for p in self.proba]
         for i, mixture in enumerate(self.mixtures):
             mass = np.exp(mixture.candidates.log_mass)
             mass /= mass.sum()
@@ -79,8 +81,8 @@ class Beliefs:
             for j, edges in enumerate(cells.edges_):
                 away = (edges - places[:, j, None]) / sigmas[:, j, None]
                 inside = np.maximum(np.diff(_student_cdf(away), axis=1), 0)  # far away, rounding makes some negative
-                found[j][i] = found[j][i] * (1 - weights.sum()) + weights @ inside
-        return [pool / pool.sum(axis=1, keepdims=True) for pool in found]
+                blocks[j][i] = blocks[j][i] * (1 - weights.sum()) + weights @ inside
+        return [pool / pool.sum(axis=1, keepdims=True) for pool in blocks]
 
 
 def recognised_only(estimates: Sequence[PoseMeasurement]) -> list[PoseMeasurement]:
@@ -116,12 +118,12 @@ def _student_cdf(x: FloatArray) -> FloatArray:
 
 def _as_targets(mixture: Mixture, rows: BoolArray, sign_reference: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Hypotheses as targets and their standard deviations, (m, 7) each."""
-    its = mixture.candidates
-    quats = its.orientations_quat_wxyz[rows]
+    hypotheses = mixture.candidates
+    quats = hypotheses.orientations_quat_wxyz[rows]
     quats = np.where((quats @ sign_reference < 0)[:, None], -quats, quats)
     # a rotation by a small angle moves a unit quaternion by half of it, orthogonally to itself
-    angle = its.orientation_spreads_rad[rows, None] / 2 * np.sqrt(np.maximum(1 - quats**2, _LEAST_ANGLE))
+    angle = hypotheses.orientation_spreads_rad[rows, None] / 2 * np.sqrt(np.maximum(1 - quats**2, _LEAST_ANGLE))
     return (
-        np.concatenate((its.positions_xyz[rows], quats), axis=1),
-        np.concatenate((its.position_spreads[rows], angle), axis=1),
+        np.concatenate((hypotheses.positions_xyz[rows], quats), axis=1),
+        np.concatenate((hypotheses.position_spreads[rows], angle), axis=1),
     )

@@ -66,8 +66,8 @@ def mixture_covariance(candidates: Candidates, position_xyz: FloatArray, quat_wx
     off = np.concatenate((candidates.positions_xyz - position_xyz, turned), axis=1)
     turning = np.repeat(candidates.orientation_spreads_rad[:, None], 3, axis=1)
     spreads = np.concatenate((candidates.position_spreads, turning), axis=1)
-    found = (weights[:, None] * off).T @ off + np.diag(weights @ spreads**2 + LEAST_VARIANCE)
-    return np.asarray((found + found.T) / 2)
+    moments = (weights[:, None] * off).T @ off + np.diag(weights @ spreads**2 + LEAST_VARIANCE)
+    return np.asarray((moments + moments.T) / 2)
 
 
 def weights_of(candidates: Candidates) -> FloatArray:
@@ -78,12 +78,12 @@ def weights_of(candidates: Candidates) -> FloatArray:
 
 def mode_candidates(proba: Probabilities, bins: QuantileBins) -> list[Candidates]:
     """Candidates of every frame: the modes of the softmax, seven arrays (n, K_j) over the bins of the targets."""
-    found = []
+    candidates = []
     for i in range(len(proba[0])):
         rows = [p[i].astype(np.float64) for p in proba]
         targets = [_described(p, _basins(p), e) for p, e in zip(rows, bins.edges_, strict=True)]
-        found.append(_combine(targets, np.log(CANDIDATES.least_mass)))
-    return found
+        candidates.append(_combine(targets, np.log(CANDIDATES.least_mass)))
+    return candidates
 
 
 def interval_candidates(proba: Probabilities, regions: Regions) -> list[Candidates]:
@@ -100,15 +100,15 @@ def interval_runs(proba: Probabilities, regions: Regions) -> list[list[BinRuns]]
     # a score that cuts bins into cells gives regions over cells: each holds its share of the bin's probability
     cells = [k // p.shape[1] for k, p in zip(regions.bins.sizes, proba, strict=True)]
     proba = [np.repeat(p / c, c, axis=1) if c > 1 else p for c, p in zip(cells, proba, strict=True)]
-    found = []
+    frames = []
     for i in range(len(regions)):
         targets = []
         for p, e, runs in zip(proba, regions.bins.edges_, regions.runs(i), strict=True):
             best = int(np.argmax(p[i]))
             intervals = [(int(a), int(b)) for a, b in runs] or [(best, best + 1)]
             targets.append(_described(p[i].astype(np.float64), intervals, e))
-        found.append(targets)
-    return found
+        frames.append(targets)
+    return frames
 
 
 def softmax_mean(proba: Probabilities, bins: QuantileBins) -> FloatArray:

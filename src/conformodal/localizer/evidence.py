@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from conformodal.core.arrays import Float32Array, FloatArray
+from conformodal.features.backbone import coarse_features
 from conformodal.features.local import LocalFeatures
 
 from .errors import LocalizationError
@@ -27,6 +28,7 @@ class FrameEvidence:
 
     features: Float32Array
     local_features: Sequence[LocalFeatures] = ()
+    _coarse: dict[tuple[int, int], Float32Array] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         if len(self.local_features) not in (0, len(self.features)):
@@ -37,9 +39,13 @@ class FrameEvidence:
     def __len__(self) -> int:
         return len(self.features)
 
+    def coarse(self, grid: tuple[int, int]) -> Float32Array:
+        """(n, G) :func:`~conformodal.features.backbone.coarse_features`, computed once for all that use them."""
+        if grid not in self._coarse:
+            self._coarse[grid] = coarse_features(self.features, grid)
+        return self._coarse[grid]
+
     @property
     def quality(self) -> FloatArray:
-        """(n, 3) quality of images with local features, see
-        :func:`~conformodal.features.image_quality.image_quality`.
-        """
-        return np.array([its.quality for its in self.local_features])
+        """(n, 3) :func:`~conformodal.features.image_quality.image_quality` of images with local features."""
+        return np.array([features.quality for features in self.local_features])

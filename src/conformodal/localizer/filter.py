@@ -53,8 +53,8 @@ class Posterior:
         The image's have a probability of at least `least`.
         """
         share = max(self.elsewhere, least)
-        known = self.hypotheses.normalised(np.log1p(-share))
-        return Candidates.concatenate((known, candidates.normalised(np.log(share))))
+        likely = self.hypotheses.normalised(np.log1p(-share))
+        return Candidates.concatenate((likely, candidates.normalised(np.log(share))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,51 +142,57 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
         Power to which masses of the evidence's places are raised, see :func:`tempered`, and with a factor normalisers;
         distances count in full.
     """
-    own = ahead.hypotheses.normalised()
-    seen = tempered(evidence, tempering, prior)
-    own_v, seen_v = own.position_spreads**2, seen.position_spreads**2
-    own_a, seen_a = own.orientation_spreads_rad**2, seen.orientation_spreads_rad**2
-    step = seen.positions_xyz[None] - own.positions_xyz[:, None]
-    total_v, pair_a = own_v[:, None] + seen_v[None], np.repeat(own_a[:, None], len(seen_a), axis=1)
-    turn = _rotation_vectors(own.orientations_quat_wxyz, seen.orientations_quat_wxyz)
+    predicted = ahead.hypotheses.normalised()
+    observed = tempered(evidence, tempering, prior)
+    ahead_v, image_v = predicted.position_spreads**2, observed.position_spreads**2
+    ahead_a, image_a = predicted.orientation_spreads_rad**2, observed.orientation_spreads_rad**2
+    step = observed.positions_xyz[None] - predicted.positions_xyz[:, None]
+    total_v, pair_a = ahead_v[:, None] + image_v[None], np.repeat(ahead_a[:, None], len(image_a), axis=1)
+    turn = _rotation_vectors(predicted.orientations_quat_wxyz, observed.orientations_quat_wxyz)
     # densities relative to an even spread over the volume and all rotations
     normaliser = tempering * FILTER.sharpness
     position = _log_density((step**2 / total_v).sum(axis=2), np.log(total_v).sum(axis=2), normaliser)
-    rotation = _log_density((turn**2).sum(axis=2) / (pair_a + seen_a), 3 * np.log(pair_a + seen_a), normaliser)
-    volume, volume_seen = (np.log(v).sum(axis=1) + 3 * np.log(a) for v, a in ((own_v, own_a), (seen_v, seen_a)))
-    seen_is_sharper = volume_seen[None] <= volume[:, None]
+    rotation = _log_density((turn**2).sum(axis=2) / (pair_a + image_a), 3 * np.log(pair_a + image_a), normaliser)
+    volume, image_volume = (np.log(v).sum(axis=1) + 3 * np.log(a) for v, a in ((ahead_v, ahead_a), (image_v, image_a)))
+    image_is_sharper = image_volume[None] <= volume[:, None]
     if ahead.measured:
-        loose = np.repeat(ahead.unturned_spreads_rad[:, None] ** 2, len(seen_a), axis=1)
-        apart = _rotation_vectors(ahead.unturned_quats_wxyz, seen.orientations_quat_wxyz)
-        unturned = _log_density((apart**2).sum(axis=2) / (loose + seen_a), 3 * np.log(loose + seen_a), normaliser)
+        loose = np.repeat(ahead.unturned_spreads_rad[:, None] ** 2, len(image_a), axis=1)
+        apart = _rotation_vectors(ahead.unturned_quats_wxyz, observed.orientations_quat_wxyz)
+        unturned = _log_density((apart**2).sum(axis=2) / (loose + image_a), 3 * np.log(loose + image_a), normaliser)
         unturned += np.log(FILTER.rotation_outlier)
         outlier = unturned > rotation
         rotation = np.logaddexp(rotation, unturned)
         turn, pair_a = np.where(outlier[..., None], apart, turn), np.where(outlier, loose, pair_a)
-        seen_is_sharper = seen_is_sharper | outlier  # the predicted ones are turned
+        image_is_sharper = image_is_sharper | outlier  # the predicted ones are turned
     anywhere = normaliser * np.log(prior.volume_m3 * _ROTATIONS)
-    pairs = own.log_mass[:, None] + seen.log_mass[None] + position + rotation + anywhere
+    pairs = predicted.log_mass[:, None] + observed.log_mass[None] + position + rotation + anywhere
     pairs += np.log1p(-wrong) + np.log1p(-ahead.elsewhere)
-    alone = own.log_mass + np.log(wrong) + np.log1p(-ahead.elsewhere)
-    fresh = seen.log_mass + np.log(ahead.elsewhere) + np.log1p(-wrong)
+    alone = predicted.log_mass + np.log(wrong) + np.log1p(-ahead.elsewhere)
+    fresh = observed.log_mass + np.log(ahead.elsewhere) + np.log1p(-wrong)
     top = max(pairs.max(), alone.max(), fresh.max())
     mass = np.exp(pairs - top)
-    share, share_a = own_v[:, None] / total_v, (pair_a / (pair_a + seen_a))[..., None]
-    between_v = _shared(own_v[:, None], seen_v[None], total_v)
-    between_a = _shared(pair_a, seen_a[None], pair_a + seen_a)
-    by_seen = _merged(
-        seen,
+    share, share_a = ahead_v[:, None] / total_v, (pair_a / (pair_a + image_a))[..., None]
+    between_v = _shared(ahead_v[:, None], image_v[None], total_v)
+    between_a = _shared(pair_a, image_a[None], pair_a + image_a)
+    by_image = _merged(
+        observed,
         np.exp(fresh - top),
-        np.where(seen_is_sharper, mass, 0).T,
+        np.where(image_is_sharper, mass, 0).T,
         np.swapaxes((share - 1) * step, 0, 1),
         np.swapaxes(between_v, 0, 1),
         np.swapaxes((share_a - 1) * turn, 0, 1),
         between_a.T,
     )
-    by_own = _merged(
-        own, np.exp(alone - top), np.where(seen_is_sharper, 0, mass), share * step, between_v, share_a * turn, between_a
+    by_predicted = _merged(
+        predicted,
+        np.exp(alone - top),
+        np.where(image_is_sharper, 0, mass),
+        share * step,
+        between_v,
+        share_a * turn,
+        between_a,
     )
-    joined = Candidates.concatenate((by_seen, by_own))
+    joined = Candidates.concatenate((by_image, by_predicted))
     total = np.logaddexp.reduce(joined.log_mass)
     nowhere = np.log(ahead.elsewhere) + np.log(wrong) - top
     joined = joined.normalised()
@@ -204,14 +210,16 @@ def tempered(evidence: Candidates, power: float, prior: MotionPrior) -> Candidat
     Raising the hypotheses one by one would favour places that have many: 50 of mass 0.0004 would weigh as much as one
     of 0.98. What counts is the mass around each, by a kernel as wide as a place.
     """
-    its = evidence.normalised()
+    hypotheses = evidence.normalised()
     if power == 1:
-        return its
-    off2 = ((its.positions_xyz[:, None] - its.positions_xyz[None]) ** 2).sum(axis=2) / prior.place_m**2
-    turns = 2 * np.arccos(np.minimum(np.abs(its.orientations_quat_wxyz @ its.orientations_quat_wxyz.T), 1))
-    around = np.exp(-0.5 * (off2 + (turns / FILTER.place_rad) ** 2)) @ np.exp(its.log_mass)
+        return hypotheses
+    off2 = ((hypotheses.positions_xyz[:, None] - hypotheses.positions_xyz[None]) ** 2).sum(axis=2) / prior.place_m**2
+    turns = 2 * np.arccos(
+        np.minimum(np.abs(hypotheses.orientations_quat_wxyz @ hypotheses.orientations_quat_wxyz.T), 1)
+    )
+    around = np.exp(-0.5 * (off2 + (turns / FILTER.place_rad) ** 2)) @ np.exp(hypotheses.log_mass)
     around = np.maximum(around, np.finfo(float).tiny)  # of a hypothesis that hardly counts
-    return replace(its, log_mass=its.log_mass + (power - 1) * np.log(around)).normalised()
+    return replace(hypotheses, log_mass=hypotheses.log_mass + (power - 1) * np.log(around)).normalised()
 
 
 def new_share(step_s: float) -> float:
@@ -229,9 +237,9 @@ def _log_density(distance2: FloatArray, log_determinant: FloatArray, normaliser:
     return np.asarray(-0.5 * (distance2 + normaliser * (log_determinant + 3 * np.log(2 * np.pi))))
 
 
-def _shared(own: FloatArray, seen: FloatArray, total: FloatArray) -> FloatArray:
+def _shared(one: FloatArray, other: FloatArray, total: FloatArray) -> FloatArray:
     """Variances of the means of two estimates, of which the sharper one's is partly the error of both."""
-    return np.asarray((1 - FILTER.common) * own * seen / total + FILTER.common * np.minimum(own, seen))
+    return np.asarray((1 - FILTER.common) * one * other / total + FILTER.common * np.minimum(one, other))
 
 
 def _merged(
@@ -261,13 +269,13 @@ def _merged(
     total = mass.sum(axis=1) + alone
     kept = total > 0
     anchors, total, alone = anchors.take(np.flatnonzero(kept)), total[kept], alone[kept]
-    share, own = mass[kept] / total[:, None], alone / total
+    share, alone_share = mass[kept] / total[:, None], alone / total
     offsets, variances, turns, angles = offsets[kept], variances[kept], turns[kept], angle_variances[kept]
     mean, turn = np.einsum("mk,mki->mi", share, offsets), np.einsum("mk,mki->mi", share, turns)
     variance = np.einsum("mk,mki->mi", share, variances + (offsets - mean[:, None]) ** 2)
-    variance += own[:, None] * (anchors.position_spreads**2 + mean**2)
+    variance += alone_share[:, None] * (anchors.position_spreads**2 + mean**2)
     angle = np.einsum("mk,mk->m", share, angles + ((turns - turn[:, None]) ** 2).sum(axis=2) / 3)
-    angle += own * (anchors.orientation_spreads_rad**2 + (turn**2).sum(axis=1) / 3)
+    angle += alone_share * (anchors.orientation_spreads_rad**2 + (turn**2).sum(axis=1) / 3)
     quats = Rotation.from_quat(anchors.orientations_quat_wxyz, scalar_first=True) * Rotation.from_rotvec(turn)
     return Candidates(
         anchors.positions_xyz + mean,
@@ -322,11 +330,11 @@ class Window:
 
     def first(self, prior: MotionPrior) -> Posterior:
         """The posterior of the first frame from all up to the last one, as :meth:`hindsight` gives it, but sooner."""
-        found = self.forward[0]
+        posterior = self.forward[0]
         for t, ahead in _predicted_by_later(self.seen, prior):
             if t == 0:
-                found = _joined(found, ahead, prior)
-        return found
+                posterior = _joined(posterior, ahead, prior)
+        return posterior
 
 
 class PoseFilter:
@@ -396,8 +404,8 @@ def weigh(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, known:
     `share` is that of the image's evidence that others have not told.
     """
     wrong = FILTER.wrong if known else FILTER.wrong_if_unknown
-    found = update(ahead, evidence, prior, wrong=wrong, tempering=share)
-    return replace(found, unseen_s=0.0 if known else ahead.unseen_s)
+    posterior = update(ahead, evidence, prior, wrong=wrong, tempering=share)
+    return replace(posterior, unseen_s=0.0 if known else ahead.unseen_s)
 
 
 def filter_posteriors(seen: Observations, prior: MotionPrior) -> list[Posterior]:
@@ -419,10 +427,10 @@ def hindsight_posteriors(
     forward
         What that gave, if it is known already.
     """
-    found = list(filter_posteriors(seen, prior) if forward is None else forward)
+    posteriors = list(filter_posteriors(seen, prior) if forward is None else forward)
     for t, ahead in _predicted_by_later(seen, prior):
-        found[t] = _joined(found[t], ahead, prior)
-    return found
+        posteriors[t] = _joined(posteriors[t], ahead, prior)
+    return posteriors
 
 
 def _predicted_by_later(seen: Observations, prior: MotionPrior) -> Iterator[tuple[int, Prediction]]:

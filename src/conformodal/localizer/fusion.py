@@ -67,18 +67,18 @@ def _refined(estimate: PoseMeasurement, old: Candidates) -> Candidates:
     """Products of an estimate's normal density with those that it agrees with, by how much they overlap."""
     centre = Rotation.from_quat(estimate.orientation_quat_wxyz, scalar_first=True)
     apart = (centre.inv() * Rotation.from_quat(old.orientations_quat_wxyz, scalar_first=True)).as_rotvec()
-    own, its = old.position_spreads**2, estimate.sigma_m**2
-    own_angle, its_angle = old.orientation_spreads_rad**2, estimate.sigma_rad**2
-    total = own_angle + its_angle
-    square = ((old.positions_xyz - estimate.position_xyz) ** 2 / (own + its)).sum(axis=1)
+    old_variance, variance = old.position_spreads**2, estimate.sigma_m**2
+    old_angle, angle = old.orientation_spreads_rad**2, estimate.sigma_rad**2
+    total = old_angle + angle
+    square = ((old.positions_xyz - estimate.position_xyz) ** 2 / (old_variance + variance)).sum(axis=1)
     square += (apart**2).sum(axis=1) / total
-    share, between = its / (own + its), Rotation.from_rotvec((its_angle / total)[:, None] * apart)
+    share, between = variance / (old_variance + variance), Rotation.from_rotvec((angle / total)[:, None] * apart)
     product = Candidates(
         share * old.positions_xyz + (1 - share) * estimate.position_xyz,
-        np.sqrt(own * share),
+        np.sqrt(old_variance * share),
         (centre * between).as_quat(scalar_first=True).reshape(-1, 4),
-        np.sqrt(own_angle * its_angle / total),
-        old.log_mass - 0.5 * (square + np.log(own + its).sum(axis=1) + 3 * np.log(total)),
+        np.sqrt(old_angle * angle / total),
+        old.log_mass - 0.5 * (square + np.log(old_variance + variance).sum(axis=1) + 3 * np.log(total)),
     )
     return product.take(np.flatnonzero(square <= BELIEF.agree))
 

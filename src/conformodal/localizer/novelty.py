@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.conformal import NoveltyTest
 from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from conformodal.features.backbone import coarse_features
 
+from .evidence import FrameEvidence
 from .settings import NOVELTY
 
 
@@ -36,7 +36,7 @@ class PlaceNovelty:
         """From features (n, F), and labels (n,) of what is left out together; None for fewer than two labels."""
         if len(np.unique(pieces)) < 2:
             return None
-        return cls(NoveltyTest(_descriptors(features, grid), pieces), grid)
+        return cls(NoveltyTest(coarse_features(features, grid).astype(np.float16), pieces), grid)
 
     def calibrated(self, distances: FloatArray, recognition: FloatArray, groups: IntArray) -> NoveltyTest:
         """A test on what held-out frames (m,), exchangeable in their groups, are like with local features."""
@@ -52,29 +52,27 @@ class PlaceNovelty:
         assert self.matched is not None
         return np.asarray(np.where(test.scores_ < 0, test.left_out_p_values(), self.matched.p_values(test.scores_)))
 
-    def distances(self, features: Float32Array, left_out: IntArray | None = None) -> FloatArray:
-        """(n,) distances of features (n, F) to those of the most similar known frame.
-
-        Known frames of the labels `left_out` (n,) do not count.
-        """
-        return self.test.scores(_descriptors(features, self.grid), left_out)
+    def distances(self, evidence: FrameEvidence, left_out: IntArray | None = None) -> FloatArray:
+        """(n,) distances of images to the most similar known frame, not counting those of labels `left_out` (n,)."""
+        # rounded like the references, so that an image equals itself
+        return self.test.scores(evidence.coarse(self.grid).astype(np.float16), left_out)
 
     def p_values(
-        self, features: Float32Array, recognition: FloatArray | None = None, disturbed: BoolArray | bool = False
+        self, evidence: FrameEvidence, recognition: FloatArray | None = None, disturbed: BoolArray | bool = False
     ) -> FloatArray:
-        """(n,) p-values of features (n, F); a small one indicates an unknown place.
+        """(n,) p-values of images; a small one indicates an unknown place.
 
         `recognition` (n,) is :attr:`~conformodal.localizer.belief.Beliefs.recognition`, None for appearance alone.
         `disturbed` (n,) says whether an image's quality is out of range.
         """
-        distances = self.distances(features)
+        distances = self.distances(evidence)
         if self.matched is None or recognition is None:
             return self.test.p_values(distances)
         scores = self.ranked(distances, recognition)
         p = self.matched.p_values(scores)
         if self.disturbed is not None:
-            its = disturbed & (recognition > 0)  # others are as novel as their appearance
-            p[its] = self.disturbed.p_values(scores[its])
+            rows = disturbed & (recognition > 0)  # others are as novel as their appearance
+            p[rows] = self.disturbed.p_values(scores[rows])
         return p
 
     def level(self, asked: float | None) -> float:
@@ -85,10 +83,5 @@ class PlaceNovelty:
         if asked is not None:
             return asked
         by_frame = bool((self.test.weights_ == 1).all())
-        least = max(its.least_p for its in (self.test, self.matched) if its is not None)
+        least = max(test.least_p for test in (self.test, self.matched) if test is not None)
         return max(NOVELTY.level_frames if by_frame else NOVELTY.level_stretches, least)
-
-
-def _descriptors(features: Float32Array, grid: tuple[int, int]) -> npt.NDArray[np.float16]:
-    """Global descriptors of references and new images, rounded alike so that an image equals itself."""
-    return coarse_features(features, grid).astype(np.float16)

@@ -53,16 +53,16 @@ def find_places(posterior: Posterior, prior: MotionPrior) -> list[Place]:
     Going down from the most probable hypothesis, each joins the first place whose most probable hypothesis is near: by
     a share of the scene's depth, which the prior gives.
     """
-    its = posterior.hypotheses.normalised(np.log1p(-posterior.elsewhere))
-    free = np.argsort(-its.log_mass, kind="stable")
-    found = []
+    hypotheses = posterior.hypotheses.normalised(np.log1p(-posterior.elsewhere))
+    free = np.argsort(-hypotheses.log_mass, kind="stable")
+    places = []
     while free.size:
-        first, rest = its.take(free[:1]), its.take(free)
+        first, rest = hypotheses.take(free[:1]), hypotheses.take(free)
         joins = same_place(rest, first.positions_xyz[0], first.orientations_quat_wxyz[0], prior)
         joins[0] = True
-        found.append(summarise(rest.take(np.flatnonzero(joins))))
+        places.append(summarise(rest.take(np.flatnonzero(joins))))
         free = free[~joins]
-    return sorted(found, key=lambda place: -place.probability)
+    return sorted(places, key=lambda place: -place.probability)
 
 
 def same_place(
@@ -74,15 +74,15 @@ def same_place(
     return np.asarray((off <= prior.place_m) & (turned <= FILTER.place_rad))
 
 
-def summarise(its: Candidates, box: FloatArray | None = None) -> Place:
-    """One place by the first two moments of its hypotheses, of which there is at least one."""
-    mass = np.exp(its.log_mass)
+def summarise(hypotheses: Candidates, box: FloatArray | None = None) -> Place:
+    """One place by the first two moments of hypotheses hypotheses, of which there is at least one."""
+    mass = np.exp(hypotheses.log_mass)
     share = mass / mass.sum()
-    position = share @ its.positions_xyz
-    variance = share @ (its.position_spreads**2 + (its.positions_xyz - position) ** 2)
-    quat = normalise_quat(share @ fix_sign(its.orientations_quat_wxyz, its.orientations_quat_wxyz[0]))
-    apart = angle_between_quats(its.orientations_quat_wxyz, quat)
-    angle = float(np.sqrt(share @ (its.orientation_spreads_rad**2 + apart**2 / 3)))
+    position = share @ hypotheses.positions_xyz
+    variance = share @ (hypotheses.position_spreads**2 + (hypotheses.positions_xyz - position) ** 2)
+    quat = normalise_quat(share @ fix_sign(hypotheses.orientations_quat_wxyz, hypotheses.orientations_quat_wxyz[0]))
+    apart = angle_between_quats(hypotheses.orientations_quat_wxyz, quat)
+    angle = float(np.sqrt(share @ (hypotheses.orientation_spreads_rad**2 + apart**2 / 3)))
     return Place(float(mass.sum()), position, np.sqrt(variance), quat, angle, box)
 
 
@@ -109,14 +109,14 @@ def own_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> Po
     """
     positions, spreads = path.positions_xyz.copy(), path.position_spreads.copy()
     quats, turns = path.orientations_quat_wxyz.copy(), path.orientation_spreads_rad.copy()
-    for t, its in enumerate(seen.candidates):
-        rows = np.flatnonzero(same_place(its, positions[t], quats[t], prior))
+    for t, hypotheses in enumerate(seen.candidates):
+        rows = np.flatnonzero(same_place(hypotheses, positions[t], quats[t], prior))
         if rows.size:
-            off2 = ((its.positions_xyz[rows] - positions[t]) ** 2).sum(axis=1)
-            wide2 = (its.position_spreads[rows] ** 2).sum(axis=1) + (spreads[t] ** 2).sum()
-            best = rows[np.argmax(its.log_mass[rows] - 0.5 * off2 / wide2)]
-            positions[t], spreads[t] = its.positions_xyz[best], its.position_spreads[best]
-            quats[t], turns[t] = its.orientations_quat_wxyz[best], its.orientation_spreads_rad[best]
+            off2 = ((hypotheses.positions_xyz[rows] - positions[t]) ** 2).sum(axis=1)
+            wide2 = (hypotheses.position_spreads[rows] ** 2).sum(axis=1) + (spreads[t] ** 2).sum()
+            best = rows[np.argmax(hypotheses.log_mass[rows] - 0.5 * off2 / wide2)]
+            positions[t], spreads[t] = hypotheses.positions_xyz[best], hypotheses.position_spreads[best]
+            quats[t], turns[t] = hypotheses.orientations_quat_wxyz[best], hypotheses.orientation_spreads_rad[best]
     unknown = ~seen.is_known
     spreads[unknown] = np.maximum(spreads[unknown], FILTER.unknown_spread * prior.scale_m)
     turns[unknown] = np.maximum(turns[unknown], FILTER.unknown_spread_rad)

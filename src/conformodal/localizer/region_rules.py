@@ -35,7 +35,7 @@ class RegionRules:
 
     ``DISTURBED`` is calibrated on copies of calibration frames that were disturbed at random, see
     :class:`~conformodal.io.Disturbance`, so its guarantee is about images disturbed likewise.
-    Its thresholds are no smaller than those of ``UNMATCHED`` or ``LANDMARKS``.
+    Its thresholds are no smaller than the finite ones of ``UNMATCHED`` and ``LANDMARKS``.
 
     Frames with a p-value of at most `level` are :attr:`EvidenceType.UNKNOWN`; those in which a place was recognised, of
     at most half of it, see :meth:`is_known`.
@@ -86,18 +86,19 @@ class RegionRules:
         tested_unknown = np.isfinite(known_p) & ~self.is_known(known_p, kinds == EvidenceType.LANDMARKS)
         return np.where(tested_unknown, EvidenceType.UNKNOWN, kinds).astype(np.int64)
 
-    def thresholds(self, kinds: IntArray, recognised: BoolArray | bool = False) -> RealArray:
-        """(m, 7) thresholds of images with these evidence types; `recognised` (m,) is asked for those disturbed.
+    def thresholds(self, kinds: IntArray) -> RealArray:
+        """(m, 7) thresholds of images with these evidence types.
 
-        These have at least the thresholds of the type that they would have otherwise: an image may as well leave the
-        range of qualities by chance.
+        Disturbed images have at least the finite thresholds of the types that they would have otherwise: an image may
+        as well leave the range of qualities by chance.
         """
         limits = np.full((len(kinds), self.overall.bins.n_targets), np.inf)
         for kind, rule in self.by_type.items():
             limits[kinds == kind] = rule.thresholds_
+        disturbed = kinds == EvidenceType.DISTURBED
         for kind in self.by_type.keys() & {EvidenceType.UNMATCHED, EvidenceType.LANDMARKS}:
-            rows = (kinds == EvidenceType.DISTURBED) & (recognised == (kind is EvidenceType.LANDMARKS))
-            limits[rows] = np.maximum(limits[rows], self.by_type[kind].thresholds_)
+            finite = np.where(np.isfinite(self.by_type[kind].thresholds_), self.by_type[kind].thresholds_, -np.inf)
+            limits[disturbed] = np.maximum(limits[disturbed], finite)
         return limits
 
     def at(self, alpha: Alpha) -> RegionRules:

@@ -151,13 +151,14 @@ def calibrate_disturbed(
         frames, copies = frames[left], [its for its, counts in zip(copies, left, strict=True) if counts]
         paths, stage = [sequence.image_paths[i] for i in frames], stage_of(progress, "disturbed images")
         features = extract_features(paths, backbone, cache, stage, sequence.noise)
-        beliefs = localizer.beliefs(FrameEvidence(features, copies))
+        evidence = FrameEvidence(features, copies)
+        beliefs = localizer.beliefs(evidence)
         scorer = copy(rules.overall)
         scorer.bins = localizer.cells
         scores = score_beliefs(scorer, localizer, beliefs, data.targets[frames])
         pieces = None if folds.units is None else folds.pieces[frames]
         beyond = np.array([its.out_of_range for its in localizer.supports(beliefs)])
-        ranked = novelty.ranked(novelty.distances(features, pieces), beliefs.recognition)
+        ranked = novelty.ranked(novelty.distances(evidence, pieces), beliefs.recognition)
         found.append((scores, ranked, beyond, frames if folds.units is None else folds.units[frames]))
     if not found:
         return calibrated, None
@@ -281,7 +282,7 @@ def compare_sources(
         images = FrameEvidence(data.features[frames[rows]], local)
         beliefs, p = own.beliefs(images), np.ones(len(rows))
         if novelty is not None:
-            p = novelty.p_values(images.features, beliefs.recognition)
+            p = novelty.p_values(images, beliefs.recognition)
         scorer = copy(rules.overall)
         scorer.bins = own.cells
         scores = score_beliefs(scorer, own, beliefs, data.targets[frames[rows]])
@@ -342,7 +343,7 @@ def _has_type_for_max_only(rules: RegionRules) -> bool:
 def _appearance(novelty: PlaceNovelty, folds: Folds, data: SourceData) -> tuple[FloatArray, FloatArray]:
     """p-values of the calibration frames by appearance, each against the frames of other pieces, and distances."""
     if folds.units is None:
-        distances = novelty.distances(data.features[folds.held_out])
+        distances = novelty.distances(FrameEvidence(data.features[folds.held_out]))
         return novelty.test.p_values(distances), distances
     # the frames that the sources learn from are the last of the references
     at = np.searchsorted(folds.region_frames, folds.held_out) - len(folds.region_frames)

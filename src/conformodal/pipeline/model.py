@@ -209,7 +209,7 @@ class PoseModel:
         if self.quality is not None and evidence.local_features:
             disturbed = self.quality.left_by(evidence.quality)
         if self.novelty is not None:
-            p = self.novelty.p_values(evidence.features, beliefs.recognition, disturbed)
+            p = self.novelty.p_values(evidence, beliefs.recognition, disturbed)
         kinds = self.rules.kinds(p, beliefs.recognised, disturbed)
         supports = self.localizer.supports(beliefs)
         kinds[[support.out_of_range for support in supports]] = EvidenceType.UNKNOWN
@@ -217,7 +217,7 @@ class PoseModel:
 
     def image_regions(self, beliefs: Beliefs, kinds: IntArray, supports: Sequence[Support]) -> PoseRegions:
         """Regions of n images, each by itself, from their evidence types (n,), at the miscoverage rate in force."""
-        thresholds = self.rules.thresholds(kinds, beliefs.recognised)
+        thresholds = self.rules.thresholds(kinds)
         return self._level_sets(self.rules.overall, beliefs, supports, thresholds)
 
     def _level_sets(

@@ -56,8 +56,8 @@ class LandmarkMap:
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
         matches, image = {} if matches is None else matches, image.at_pose_time(self.shutter, self.camera)
         places = self._retrieve(image.global_descriptor, shown)
-        found = (self._solve(image, near, shown, matches) for near in places)
-        return [estimate for estimate in found if estimate is not None]
+        estimates = (self._solve(image, near, shown, matches) for near in places)
+        return [estimate for estimate in estimates if estimate is not None]
 
     def _retrieve(self, descriptor: Float32Array, shown: BoolArray) -> list[IntArray]:
         """Keyframes similar to an image, clustered by position, in order of similarity."""
@@ -65,15 +65,15 @@ class LandmarkMap:
         alike[~shown | (np.diff(self.starts) < PNP.min_inliers)] = -np.inf
         order = np.argsort(-alike, kind="stable")[: RETRIEVAL.retrieved]
         order = order[np.isfinite(alike[order])]
-        found: list[IntArray] = []
-        while order.size and len(found) < RETRIEVAL.clusters:
-            if found and 1 - alike[order[0]] > RETRIEVAL.max_distance_ratio * (1 - alike[found[0][0]]):
+        clusters: list[IntArray] = []
+        while order.size and len(clusters) < RETRIEVAL.clusters:
+            if clusters and 1 - alike[order[0]] > RETRIEVAL.max_distance_ratio * (1 - alike[clusters[0][0]]):
                 break
             apart = np.linalg.norm(self.poses_se3[order, :3, 3] - self.poses_se3[order[0], :3, 3], axis=1)
             here = apart < RETRIEVAL.radius * self.depth_m
-            found.append(self._spread(order[here], RETRIEVAL.others if found else RETRIEVAL.first))
+            clusters.append(self._spread(order[here], RETRIEVAL.others if clusters else RETRIEVAL.first))
             order = order[~here]
-        return found
+        return clusters
 
     def _spread(self, order: IntArray, most: int) -> IntArray:
         """The first keyframes in an order that differ from each other: nearly the same view says the same again."""
@@ -117,8 +117,8 @@ class LandmarkMap:
                 return None
             pose, _ = poselib.refine_absolute_pose(pixels, points, pose, poselib_camera(self.camera), PNP.refinement)
             T_world_cam = _camera_to_world(pose)
-            seen, ahead = self._seen(points, T_world_cam)
-            inliers = ahead & (np.linalg.norm(seen - pixels, axis=1) < PNP.ransac["max_reproj_error"])
+            pixels_seen, ahead = self._projected(points, T_world_cam)
+            inliers = ahead & (np.linalg.norm(pixels_seen - pixels, axis=1) < PNP.ransac["max_reproj_error"])
             if inliers.sum() < PNP.min_inliers:
                 return None
         sigmas = self._spreads(pixels[inliers], points[inliers], T_world_cam[:3, :3], T_world_cam[:3, 3])
@@ -146,11 +146,11 @@ class LandmarkMap:
         order = np.argsort(np.where(shown, self._apart(T_world_cam @ np.linalg.inv(self.T_pose_cam)), np.inf))
         near = self._spread(order[: min(GUIDING.considered, int(shown.sum()))], GUIDING.keyframes)
         landmarks = np.concatenate([np.arange(self.starts[i], self.starts[i + 1]) for i in near.tolist()])
-        seen, ahead = self._seen(self.points_xyz[landmarks].astype(np.float64), T_world_cam)
-        landmarks, seen = landmarks[ahead], seen[ahead]
+        pixels_seen, ahead = self._projected(self.points_xyz[landmarks].astype(np.float64), T_world_cam)
+        landmarks, pixels_seen = landmarks[ahead], pixels_seen[ahead]
         count = min(GUIDING.corners, len(image.pixels))
         away, corners = KDTree(image.pixels).query(
-            seen, np.arange(1, count + 1), distance_upper_bound=GUIDING.radius_px
+            pixels_seen, np.arange(1, count + 1), distance_upper_bound=GUIDING.radius_px
         )
         rows, columns = np.nonzero(np.isfinite(away))
         corners = np.asarray(corners)[rows, columns]
@@ -160,7 +160,7 @@ class LandmarkMap:
         best = best[differ[best] < GUIDING.most_bits]
         return corners[best], landmarks[rows[best]]
 
-    def _seen(self, points: FloatArray, T_world_cam: FloatArray) -> tuple[FloatArray, BoolArray]:
+    def _projected(self, points: FloatArray, T_world_cam: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Pixels (n, 2) of points, and whether these lie ahead of the camera."""
         local = (points - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
         ahead = local[:, 2] > 1e-3
@@ -179,13 +179,13 @@ class LandmarkMap:
         """Deviations of nearby keyframes: mean (6,), scatter per axis (2,) in m and rad, and the least distance."""
         apart = self._apart(T_world_pose)
         away = float(apart[shown].min())
-        known = np.flatnonzero(shown & np.isfinite(self.corrections).all(axis=1))
-        if known.size == 0:
+        corrected = np.flatnonzero(shown & np.isfinite(self.corrections).all(axis=1))
+        if corrected.size == 0:
             return np.zeros(6), np.zeros(2), away
-        nearest = known[np.argsort(apart[known], kind="stable")[: PNP.corrected_by]]
-        found, weights = self.corrections[nearest], 1 / (apart[nearest] + PNP.least_distance)
-        mean = np.average(found, axis=0, weights=weights)
-        variance = np.average((found - mean) ** 2, axis=0, weights=weights)
+        nearest = corrected[np.argsort(apart[corrected], kind="stable")[: PNP.corrected_by]]
+        corrections, weights = self.corrections[nearest], 1 / (apart[nearest] + PNP.least_distance)
+        mean = np.average(corrections, axis=0, weights=weights)
+        variance = np.average((corrections - mean) ** 2, axis=0, weights=weights)
         return mean, np.sqrt([variance[:3].mean(), variance[3:].mean()]), away
 
     def _spreads(

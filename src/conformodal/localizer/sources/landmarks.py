@@ -11,7 +11,7 @@ import numpy as np
 from conformodal.core.arrays import IntArray, evenly_spread
 from conformodal.core.parallel import in_threads
 from conformodal.core.progress import Progress, stage_of
-from conformodal.features.backbone import global_descriptors
+from conformodal.features.backbone import at_unit_length
 from conformodal.features.local import LocalFeatures, Matcher
 from conformodal.geometry import PinholeCamera, Trajectory, angle_between_quats
 from conformodal.localizer.evidence import FrameEvidence
@@ -55,7 +55,7 @@ class LandmarkSource:
             return None
         pieces = data.stretches if len(np.unique(data.pieces[frames])) < 2 else data.pieces
         chosen = frames[evenly_spread(len(frames), MAPPING.max_keyframes)]
-        own = cls.of(
+        source = cls.of(
             data.local_features(chosen),
             data.sequence.require_truth()[chosen],
             (pieces[chosen], data.stretches[chosen]),
@@ -65,7 +65,7 @@ class LandmarkSource:
             stage_of(data.progress, "landmarks"),
             data.matcher,
         )
-        return None if own is None else replace(own, grid=data.grid)
+        return None if source is None else replace(source, grid=data.grid)
 
     @classmethod
     def of(
@@ -100,14 +100,14 @@ class LandmarkSource:
         if not images:
             return SourceAnswer(measurements=[[] for _ in evidence.features])
         if self.grid is not None:
-            rows = zip(images, global_descriptors(evidence.features, self.grid), strict=True)
-            images = [its._replace(global_descriptor=row) for its, row in rows]
+            rows = zip(images, at_unit_length(evidence.coarse(self.grid)), strict=True)
+            images = [image._replace(global_descriptor=row) for image, row in rows]
         return SourceAnswer(measurements=in_threads(self.localize, images))
 
     def localize(self, image: LocalFeatures) -> list[PoseMeasurement]:
         """Estimates of one image whose standard deviation is below half the scene's depth."""
-        found = (self.errors.apply(one, *_support(one)) for one in self.map.localize(image))
-        return [one for one in found if one.sigma_m < PNP.same_place * self.map.depth_m]
+        estimates = (self.errors.apply(one, *_support(one)) for one in self.map.localize(image))
+        return [one for one in estimates if one.sigma_m < PNP.same_place * self.map.depth_m]
 
     def state(self) -> SourceState:
         """The map's arrays and camera, and the errors."""
@@ -120,10 +120,10 @@ class LandmarkSource:
     def from_state(cls, state: SourceState) -> Self:
         """The source that was stored."""
         settings = state.settings
-        its = {k: state.arrays[k] for k in _ARRAYS}
-        own = LandmarkMap(camera=PinholeCamera(**settings["camera"]), depth_m=float(settings["depth_m"]), **its)
+        arrays = {k: state.arrays[k] for k in _ARRAYS}
+        mapped = LandmarkMap(camera=PinholeCamera(**settings["camera"]), depth_m=float(settings["depth_m"]), **arrays)
         grid = None if settings["grid"] is None else tuple(settings["grid"])
-        return cls(own, state.arrays["frames"], ErrorModel.from_json(settings["errors"]), grid)
+        return cls(mapped, state.arrays["frames"], ErrorModel.from_json(settings["errors"]), grid)
 
 
 def _fit_errors(

@@ -34,7 +34,7 @@ def build_map(
     """Triangulate corners of n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps."""
     pairs = _matched(features, _partners(poses_se3, depth_m), matcher or Matcher(), progress)
     mounted = fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
-    features = [its.at_pose_time(mounted.shutter, camera) for its in features]
+    features = [one.at_pose_time(mounted.shutter, camera) for one in features]
     before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
     chunks = [range(a, min(a + _FRAMES_AT_A_TIME, len(features))) for a in range(0, len(features), _FRAMES_AT_A_TIME)]
 
@@ -84,15 +84,15 @@ def view_overlap(poses_se3: FloatArray, i: int, camera: PinholeCamera, depth_m: 
     local = (world - poses_se3[:, None, :3, 3]) @ poses_se3[:, :3, :3]
     ahead = local[..., 2] > 1e-6
     plane = local[..., :2] / np.where(ahead, local[..., 2], 1.0)[..., None]
-    seen = plane * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-    inside = ahead & (seen >= 0).all(axis=2) & (seen < (camera.width, camera.height)).all(axis=2)
+    pixels_seen = plane * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    inside = ahead & (pixels_seen >= 0).all(axis=2) & (pixels_seen < (camera.width, camera.height)).all(axis=2)
     return np.asarray(inside.mean(axis=1))
 
 
 def _partners(poses_se3: FloatArray, depth_m: float) -> list[IntArray]:
     """For each frame, others that see the same scene from other positions; the best first."""
     centres, forward = poses_se3[:, :3, 3], poses_se3[:, :3, 2]
-    found = []
+    partners = []
     for centre, ahead in zip(centres, forward, strict=True):
         turned = np.arccos(np.clip(forward @ ahead, -1, 1))
         apart = np.linalg.norm(centres - centre, axis=1) / depth_m
@@ -102,8 +102,8 @@ def _partners(poses_se3: FloatArray, depth_m: float) -> list[IntArray]:
         cost = np.abs(np.log(apart[others] / MAPPING.best)) + turned[others] / MAPPING.usual_turn_rad
         others = others[np.argsort(cost, kind="stable")[: 5 * MAPPING.partners]]
         # neighbours in time say the same: take one of every few
-        found.append(others[:: max(1, len(others) // MAPPING.partners)][: MAPPING.partners])
-    return found
+        partners.append(others[:: max(1, len(others) // MAPPING.partners)][: MAPPING.partners])
+    return partners
 
 
 def _matched(
@@ -118,20 +118,20 @@ def _matched(
     def of(i: int) -> list[tuple[int, IntArray]]:
         return [(j, matcher(features[i], features[j])) for j in sorted(later[i])]
 
-    found = in_threads(of, range(len(features)), progress)
-    for i, own in enumerate(list(map(list, found))):
-        for j, pairs in own:
-            found[j].append((i, pairs[:, ::-1]))
-    return found
+    matched = in_threads(of, range(len(features)), progress)
+    for i, pairs_of_frame in enumerate(list(map(list, matched))):
+        for j, pairs in pairs_of_frame:
+            matched[j].append((i, pairs[:, ::-1]))
+    return matched
 
 
 def _some_matches(features: Sequence[LocalFeatures], pairs: Sequence[Sequence[tuple[int, IntArray]]]) -> Matches:
-    rng, moving = np.random.default_rng(0), [its.flows for its in features]
+    rng, moving = np.random.default_rng(0), [one.flows for one in features]
     frames, pixels, flows = [np.empty((0, 2), np.int64)], [np.empty((0, 2, 2))], [np.empty((0, 2, 2))]
     for i, others in enumerate(pairs):
-        for j, found in others:
+        for j, matches in others:
             if i < j:
-                some = found[rng.permutation(len(found))[: MAPPING.matches_per_pair]]
+                some = matches[rng.permutation(len(matches))[: MAPPING.matches_per_pair]]
                 frames.append(np.tile([i, j], (len(some), 1)))
                 pixels.append(np.stack((features[i].pixels[some[:, 0]], features[j].pixels[some[:, 1]]), axis=1))
                 flows.append(np.stack((moving[i][some[:, 0]], moving[j][some[:, 1]]), axis=1))
@@ -149,11 +149,11 @@ def _rays(
     """Rays of the corners of some frames, numbered on from frame to frame; `numbers` are those of first corners."""
     corners, cameras, pixels, others, before = [], [], [], [], 0
     for i in frames:
-        seen = [(i, np.tile(np.arange(len(features[i].pixels))[:, None], 2)), *pairs[i]]
-        corners += [before + pair[:, 0] for _, pair in seen]
-        cameras += [np.full(len(pair), j) for j, pair in seen]
-        pixels += [features[j].pixels[pair[:, 1]] for j, pair in seen]
-        others += [numbers[j] + pair[:, 1] for j, pair in seen]
+        views = [(i, np.tile(np.arange(len(features[i].pixels))[:, None], 2)), *pairs[i]]
+        corners += [before + pair[:, 0] for _, pair in views]
+        cameras += [np.full(len(pair), j) for j, pair in views]
+        pixels += [features[j].pixels[pair[:, 1]] for j, pair in views]
+        others += [numbers[j] + pair[:, 1] for j, pair in views]
         before += len(features[i].pixels)
     corner = np.concatenate(corners)
     order = np.argsort(corner, kind="stable")  # the corner's own frame stays first

@@ -20,7 +20,7 @@ from conformodal.core.arrays import AnyArray, Float32Array, FloatArray, IntArray
 from conformodal.core.parallel import in_threads
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.ranges import as_member
-from conformodal.features.backbone import feature_views, global_descriptors
+from conformodal.features.backbone import at_unit_length, coarse_features, feature_views
 from conformodal.features.local import LocalFeatures, Matcher
 from conformodal.features.projection import Projection, fit_projection
 from conformodal.features.settings import TrainingConfig
@@ -107,11 +107,11 @@ class SourceData:
         report = stage_of(self.progress, "local features")
         with self._extracting:  # sources that learn at the same time share them
             missing = [i for i in frames.tolist() if i not in self._local_features]
-            found = in_threads(partial(frame_features, self.sequence), missing, report)
+            extracted = in_threads(partial(frame_features, self.sequence), missing, report)
             if missing and self.grid is not None:
-                maps = global_descriptors(self.features[missing], self.grid)
-                found = [its._replace(global_descriptor=row) for its, row in zip(found, maps, strict=True)]
-            self._local_features.update(zip(missing, found, strict=True))
+                maps = at_unit_length(coarse_features(self.features[missing], self.grid))
+                extracted = [one._replace(global_descriptor=row) for one, row in zip(extracted, maps, strict=True)]
+            self._local_features.update(zip(missing, extracted, strict=True))
         return [self._local_features[i] for i in frames.tolist()]
 
 
