@@ -187,7 +187,7 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
     localizer = SimpleNamespace(cells=BINS, supports=lambda its: [SimpleNamespace(out_of_range=False)] * len(its.rows))
     groups, every = unit if by_stretch else None, np.ones(n, dtype=bool)
     rules = SimpleNamespace(
-        overall=SimpleNamespace(alpha=0.1, groups_=groups, bins=BINS),
+        overall=SimpleNamespace(alpha=0.1, units_=groups, bins=BINS),
         known=every,
         recognised=every,
     )
