@@ -349,7 +349,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if is_frame(X) or issparse(features):
             return features
         # scikit-learn reads text and dates among objects as numbers
-        return as_reals(X if getattr(X, "dtype", np.dtype(float)).kind == "O" else features, "X")
+        return as_reals(X if str(getattr(X, "dtype", "")) == "object" else features, "X")
 
     def _table(self, X: Any, y: Any, reset: bool = False) -> tuple[Any, FloatArray, list[str] | None]:
         """Features, values and the targets' names."""
