@@ -48,7 +48,7 @@ from conformodal.corridor.writer import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory, trajectory_errors
-from conformodal.io import Recording, SplitKind, read_sevenscenes
+from conformodal.io import Recording, SplitKind, read_recording
 from conformodal.localizer.observations import Observations, PosePath
 from conformodal.localizer.places import own_hypotheses
 from conformodal.localizer.prior import MotionPrior
@@ -99,11 +99,11 @@ class Models:
     def sequence(self) -> Recording:
         """The recording of the place."""
         if self.place in KITCHENS:
-            return read_sevenscenes(REDKITCHEN)
+            return read_recording(REDKITCHEN)
         if not (self.folder / "world.done").is_file():
             write_corridor(self.folder / "world", n_modules=N_MODULES, n_laps=N_LAPS, seed=self.seed)
             (self.folder / "world.done").touch()
-        return read_sevenscenes(self.folder / "world")
+        return read_recording(self.folder / "world")
 
     def trained(self, name: str = OURS) -> PoseModel:
         """A model by the name of its settings."""

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.corridor.writer import write_corridor
 from conformodal.geometry import RelativeMotion, Trajectory
-from conformodal.io import Recording, read_recording, read_sevenscenes
+from conformodal.io import Recording, read_recording
 from conformodal.tracking.frontend import MotionFrontEnd
 from conformodal.tracking.two_view import TwoViewSolver, solve_opencv, solve_poselib
 
@@ -82,8 +82,8 @@ def main() -> None:
     parser_of(__doc__).parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         write_corridor(Path(scratch), n_laps=1)
-        corridor = read_sevenscenes(scratch)
-        video = read_sevenscenes(REDKITCHEN)
+        corridor = read_recording(scratch)
+        video = read_recording(REDKITCHEN)
         jitter = jitter_m(video.require_truth())
         rows = [row("redkitchen 640x480", video, s, jitter=jitter) for s in (1, 5, 10)]
         rows += [row("the same, OpenCV's five points", video, s, solve_opencv, jitter) for s in (1, 5)]

@@ -21,7 +21,7 @@ from common import REDKITCHEN, parser_of, write_table
 
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
-from conformodal.io import Recording, read_image, read_sevenscenes
+from conformodal.io import Recording, read_image, read_recording
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.store import save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
@@ -47,7 +47,7 @@ def enlarged(sequence: Recording, size: tuple[int, int], folder: Path) -> Record
         pose = path.name.replace(".color", ".pose")
         pose_file = path.with_name(pose).with_suffix(".txt")
         (folder / "seq-01" / pose_file.name).write_bytes(pose_file.read_bytes())
-    return read_sevenscenes(folder)
+    return read_recording(folder)
 
 
 def train_briefly(sequence: Recording, folder: Path, sources: tuple[str, ...]) -> Path:
@@ -77,7 +77,7 @@ def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--frames", type=int, default=300)
     options = parser.parse_args()
-    sequence = read_sevenscenes(REDKITCHEN)
+    sequence = read_recording(REDKITCHEN)
     header = ["image", "pose sources", "cores", "median, ms", "99th percentile, ms", "frames per second"]
     header += ["first answer, s", "resident, MB", "ms per frame, by part"]
     rows = []

@@ -14,7 +14,7 @@ from relative_motion import read_kitti
 from scipy.spatial.transform import Rotation
 
 from conformodal.corridor.writer import write_corridor
-from conformodal.io import PixelNoise, Recording, read_sevenscenes
+from conformodal.io import PixelNoise, Recording, read_recording
 from conformodal.io.decoding import grey_image
 from conformodal.tracking.submaps import build_submaps
 from conformodal.tracking.tracker import CornerTracker
@@ -63,12 +63,12 @@ def row(name: str, sequence: Recording, stride: int) -> list[str]:
 
 def main() -> None:
     parser_of(__doc__).parse_args()
-    redkitchen = read_sevenscenes(REDKITCHEN)
+    redkitchen = read_recording(REDKITCHEN)
     noisy = Recording(**{**vars(redkitchen), "noise": PixelNoise(0.1, 0)})
     rows = [row("redkitchen", redkitchen, 1), row("redkitchen", redkitchen, 5), row("redkitchen, noise 0.1", noisy, 5)]
     with tempfile.TemporaryDirectory() as scratch:
         write_corridor(Path(scratch), n_modules=6, n_laps=1, seed=0)
-        rows.append(row("corridor", read_sevenscenes(scratch), 1))
+        rows.append(row("corridor", read_recording(scratch), 1))
     rows.append(row("KITTI 06", read_kitti(), 1))
     header = ["data", "stride", "submaps", "frames of one", "frames in one", "off per axis, mm"]
     header += ["error / claimed spread", "rotation / claimed", "depth, m, and spread of log"]

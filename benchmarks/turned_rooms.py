@@ -31,7 +31,7 @@ from conformodal.corridor.render import Renderer
 from conformodal.corridor.writer import write_flight
 from conformodal.features.extract import FeatureCache
 from conformodal.geometry import Trajectory, angle_between_quats
-from conformodal.io import Recording, read_sevenscenes
+from conformodal.io import Recording, read_recording
 from conformodal.localizer.observations import Observations, PosePath
 from conformodal.localizer.places import own_hypotheses
 from conformodal.localizer.prior import MotionPrior
@@ -57,8 +57,8 @@ def learn(folder: Path, seed: int) -> tuple[PoseModel, Recording]:
         write_flight(folder / part / "seq-01", renderer, poses, noise_seed=(2 * seed + k) * 1_000_003)
     cache = FeatureCache(folder / "cache")
     config = ModelConfig(alpha=ALPHA, seed=seed, sources=("head",), training=replace(TRAINING, seed=seed))
-    model = train_model(prepare_training_data(read_sevenscenes(folder / "train"), config, cache), config)
-    return model, read_sevenscenes(folder / "test")
+    model = train_model(prepare_training_data(read_recording(folder / "train"), config, cache), config)
+    return model, read_recording(folder / "test")
 
 
 def errors(path: PosePath, truth: Trajectory) -> list[float]:

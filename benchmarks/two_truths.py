@@ -12,7 +12,7 @@ from common import DATA, REDKITCHEN, parser_of, write_table
 
 from conformodal.core.arrays import IntArray
 from conformodal.geometry import Trajectory, align, orientation_errors_deg, position_errors_m
-from conformodal.io import Recording, read_sevenscenes
+from conformodal.io import Recording, read_recording
 
 ALIGNMENTS = ("none", "se3", "sim3")
 
@@ -32,7 +32,7 @@ def colmap_truth(kitchen: Recording) -> tuple[IntArray, Trajectory]:
 
 def main() -> None:
     parser_of(__doc__).parse_args()
-    sequence = read_sevenscenes(REDKITCHEN)
+    sequence = read_recording(REDKITCHEN)
     fusion = sequence.require_truth()
     both, colmap = colmap_truth(sequence)
     table = []

@@ -41,7 +41,7 @@ from conformodal.corridor.render import Renderer
 from conformodal.corridor.world import CorridorWorld
 from conformodal.corridor.writer import write_corridor, write_flight
 from conformodal.features.extract import FeatureCache
-from conformodal.io import PixelNoise, Recording, SplitKind, read_image, read_recording, read_sevenscenes
+from conformodal.io import PixelNoise, Recording, SplitKind, read_image, read_recording
 from conformodal.localizer.settings import NOVELTY
 from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import Calibration, ModelConfig
@@ -121,7 +121,7 @@ def resized(image: np.ndarray, _: int) -> np.ndarray:
 
 
 def redkitchen(seed: int, cache: FeatureCache, scratch: Path) -> dict[str, Any]:
-    video = read_sevenscenes(REDKITCHEN)
+    video = read_recording(REDKITCHEN)
     cut = int(KNOWN_SHARE * len(video))
     every = np.arange(len(video))
     parts = {"first": (every[:cut], every[cut:]), "last": (every[-cut:], every[:-cut])}
@@ -148,7 +148,7 @@ def redkitchen(seed: int, cache: FeatureCache, scratch: Path) -> dict[str, Any]:
 def corridor_flights(seed: int, scratch: Path) -> tuple[Recording, dict[str, Recording]]:
     """The known corridor, and flights that nobody trained on: known rooms, an unknown wing, other furniture."""
     world = CorridorWorld(N_MODULES, seed=seed)
-    sequence = read_sevenscenes(write_corridor(scratch / "known", n_modules=N_MODULES, n_laps=N_LAPS, seed=seed))
+    sequence = read_recording(write_corridor(scratch / "known", n_modules=N_MODULES, n_laps=N_LAPS, seed=seed))
     path = drone_path(world, 1, seed=1000 + seed).poses_se3
     start = int(np.random.default_rng(seed).integers(len(path) - N_FLIGHT))
     flight = path[start : start + N_FLIGHT]
@@ -160,7 +160,7 @@ def corridor_flights(seed: int, scratch: Path) -> tuple[Recording, dict[str, Rec
     flights = {}
     for number, (name, renderer) in enumerate(renderers.items()):
         folder = write_flight(scratch / f"flight{number}" / "seq-01", renderer, flight, noise_seed=(1 + number) * 10**6)
-        flights[name] = read_sevenscenes(folder.parent)
+        flights[name] = read_recording(folder.parent)
     truth = flights[WING].require_truth()
     behind = np.array([world.length, 0.0, 0.0])  # the wing lies behind the end of the hall
     flights[WING] = replace(flights[WING], truth=replace(truth, positions_xyz=truth.positions_xyz + behind))

@@ -38,13 +38,13 @@ def run_in_corridor(folder: Path) -> tuple[Any, Trajectory]:
     from conformodal.corridor.writer import write_corridor  # noqa: PLC0415
     from conformodal.features.extract import FeatureCache  # noqa: PLC0415
     from conformodal.features.settings import TrainingConfig  # noqa: PLC0415
-    from conformodal.io import read_sevenscenes  # noqa: PLC0415 - the table needs no camera
+    from conformodal.io import read_recording  # noqa: PLC0415 - the table needs no camera
     from conformodal.pipeline.config import ModelConfig  # noqa: PLC0415
     from conformodal.pipeline.estimator import VisualOdometry  # noqa: PLC0415
     from conformodal.pipeline.train import prepare_training_data, train_model  # noqa: PLC0415
 
     write_corridor(folder, n_modules=N_MODULES, n_laps=N_LAPS, seed=0)
-    sequence = read_sevenscenes(folder)
+    sequence = read_recording(folder)
     training = TrainingConfig(epochs=EPOCHS, dropout=DROPOUT, components=None)
     config = ModelConfig(alpha=0.1, sources=("head",), training=training)
     model = train_model(prepare_training_data(sequence, config, FeatureCache(None)), config)

@@ -11,7 +11,7 @@ from conformodal.corridor.writer import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory, normalise_quat
-from conformodal.io import read_sevenscenes
+from conformodal.io import read_recording
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.evaluate import error_table
@@ -19,7 +19,7 @@ from conformodal.pipeline.train import prepare_training_data, train_model
 
 if __name__ == "__main__":
     with TemporaryDirectory() as folder:
-        sequence = read_sevenscenes(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
+        sequence = read_recording(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
         config = ModelConfig(alpha=0.2, sources=("head",), training=TrainingConfig(epochs=20))
         data = prepare_training_data(sequence, config, FeatureCache(None))
         model = train_model(data, config)

@@ -12,7 +12,7 @@ import numpy as np
 from conformodal.corridor.writer import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
-from conformodal.io import read_sevenscenes
+from conformodal.io import read_recording
 from conformodal.localizer.measurement import PoseMeasurement
 from conformodal.localizer.sources.registry import SourceAnswer, SourceState, register_source
 from conformodal.pipeline.config import ModelConfig
@@ -49,7 +49,7 @@ class NearestFrame:
 
 if __name__ == "__main__":
     with TemporaryDirectory() as folder:
-        sequence = read_sevenscenes(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
+        sequence = read_recording(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
         config = ModelConfig(alpha=0.2, sources=("head", "nearest"), training=TrainingConfig(epochs=20))
         model = train_model(prepare_training_data(sequence, config, FeatureCache(None)), config)
         run = VisualOdometry(model).process(sequence, model.split.test)

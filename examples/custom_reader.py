@@ -1,5 +1,10 @@
 """A data set in a layout of one's own: a CSV file of names, times and poses beside a folder of images.
 
+An installed package adds the layout to all commands by an entry point:
+
+    [project.entry-points."conformodal.layouts"]
+    csv = "my_package:CSV"
+
 python examples/custom_reader.py
 """
 
@@ -11,35 +16,32 @@ import numpy as np
 
 from conformodal.corridor.render import CAMERA
 from conformodal.corridor.writer import write_corridor
-from conformodal.geometry import PinholeCamera, Trajectory
-from conformodal.io import Recording, read_sevenscenes
+from conformodal.io import FrameTable, Reader, read_recording
 
 
-def read_csv_layout(file: Path, camera: PinholeCamera) -> Recording:
+def read_csv(folder: Path) -> FrameTable:
     """Columns: image, time_s, x, y, z, qw, qx, qy, qz; poses are camera to world."""
-    with file.open(newline="", encoding="utf-8") as lines:
+    with (folder / "frames.csv").open(newline="", encoding="utf-8") as lines:
         rows = list(csv.reader(lines))[1:]
     numbers = np.array([[float(v) for v in row[1:]] for row in rows])
-    times = numbers[:, 0]
-    return Recording(
-        name=file.stem,
-        image_paths=tuple(file.parent / row[0] for row in rows),
-        timestamps_s=times,
-        recording=np.zeros(len(rows), dtype=np.int64),
-        camera=camera,
-        truth=Trajectory(times, numbers[:, 1:4], numbers[:, 4:]),
-    )
+    images = [folder / row[0] for row in rows]
+    return FrameTable(folder.name, images, times=numbers[:, 0], camera=CAMERA, poses=numbers[:, 1:], root=folder)
+
+
+CSV = Reader(read_csv, lambda folder: (folder / "frames.csv").is_file(), sign="frames.csv")
 
 
 if __name__ == "__main__":
-    with TemporaryDirectory() as folder:
-        world = read_sevenscenes(write_corridor(Path(folder), n_modules=2, n_laps=1, seed=0))
-        truth, file = world.require_truth(), Path(folder) / "poses.csv"
-        with file.open("w", newline="", encoding="utf-8") as lines:
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        world = read_recording(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
+        truth = world.require_truth()
+        with (folder / "frames.csv").open("w", newline="", encoding="utf-8") as lines:
             writer = csv.writer(lines)
             writer.writerow(["image", "time_s", "x", "y", "z", "qw", "qx", "qy", "qz"])
             for i, path in enumerate(world.image_paths):
                 pose = [*truth.positions_xyz[i], *truth.orientations_quat_wxyz[i]]
                 writer.writerow([path.relative_to(folder), world.timestamps_s[i], *pose])
-        sequence = read_csv_layout(file, CAMERA)
-        print(f"{sequence.name}: {len(sequence)} frames of {sequence.image(0).shape[1]}x{sequence.image(0).shape[0]}")
+        recording = CSV.read(folder).to_recording()
+        size = recording.image(0).shape
+        print(f"{len(recording.require_truth())} poses: {len(recording)} frames of {size[1]}x{size[0]}")

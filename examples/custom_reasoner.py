@@ -11,7 +11,7 @@ from conformodal.corridor.writer import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import trajectory_errors
-from conformodal.io import read_sevenscenes
+from conformodal.io import read_recording
 from conformodal.localizer.observations import Observations, PosePath
 from conformodal.localizer.prior import MotionPrior
 from conformodal.pipeline.config import ModelConfig
@@ -31,7 +31,7 @@ def nearest(seen: Observations, prior: MotionPrior) -> PosePath:
 
 if __name__ == "__main__":
     with TemporaryDirectory() as folder:
-        sequence = read_sevenscenes(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
+        sequence = read_recording(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
         config = ModelConfig(alpha=0.2, sources=("head",), training=TrainingConfig(epochs=20))
         model = train_model(prepare_training_data(sequence, config, FeatureCache(None)), config)
         run = VisualOdometry(model).process(sequence, model.split.test)

@@ -2,14 +2,14 @@ import shutil
 
 import pytest
 
-from conformodal.io import read_sevenscenes
+from conformodal.io import read_recording
 
 CHROMIUM = next((p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None)
 
 
 @pytest.fixture(scope="module")
 def sequence(small_corridor):
-    return read_sevenscenes(small_corridor)
+    return read_recording(small_corridor)
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def two_recordings(small_corridor, tmp_path):
         shutil.copytree(small_corridor / "seq-01", tmp_path / name)
     for name in ("camera-intrinsics.txt", "frame-rate.txt"):
         shutil.copy(small_corridor / name, tmp_path / name)
-    return read_sevenscenes(tmp_path)
+    return read_recording(tmp_path)
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from conformodal.corridor.path import drone_path, rotation_world_cam
 from conformodal.corridor.render import CAMERA, Renderer, same_views
 from conformodal.corridor.world import MODULE_LENGTH, CorridorWorld
 from conformodal.corridor.writer import write_corridor
-from conformodal.io import DatasetError, read_sevenscenes
+from conformodal.io import DatasetError, read_recording
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_writing_is_reproducible_and_readable(tmp_path, monkeypatch):
     for name in ("a", "b"):
         write_corridor(tmp_path / name, n_modules=2, n_laps=1, seed=5, progress=lambda *now: told.append(now))
     assert told[-1] == (9, 9)
-    a, b = read_sevenscenes(tmp_path / "a"), read_sevenscenes(tmp_path / "b")
+    a, b = read_recording(tmp_path / "a"), read_recording(tmp_path / "b")
     np.testing.assert_array_equal(a.image(7), b.image(7))
     np.testing.assert_allclose(a.require_truth().positions_xyz, exact.positions_xyz[:9], atol=1e-9)
     assert a.camera == CAMERA

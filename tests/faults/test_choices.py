@@ -20,8 +20,8 @@ PARTS = {"seed": 0, "train": ROWS, "calibration": ROWS, "test": ROWS}
 # how a value gets there, and what the message calls it
 ENTRIES = [
     (lambda v: Conventions(covariance=v), "covariance"),
-    (lambda v: read_recording("nowhere", v), "layout"),
-    (lambda v: open_stream("nowhere", v), "layout"),
+    (lambda v: read_recording("nowhere", v), "format"),
+    (lambda v: open_stream("nowhere", v), "format"),
     (lambda v: write_layout(None, v, None, None, None), "layout"),
     (lambda v: next(prefetch(None, pace=v)), "pace"),
     (lambda v: Split(v, **PARTS), "split"),

@@ -341,7 +341,7 @@ def test_a_demo_that_was_killed_starts_again(tmp_path, monkeypatch, moment, seed
 
     monkeypatch.setattr("conformodal.cli.demo.write_corridor", fly)
     monkeypatch.setattr("conformodal.cli.demo.train_on", stop)
-    monkeypatch.setattr("conformodal.cli.demo.read_sevenscenes", lambda folder: folder)
+    monkeypatch.setattr("conformodal.cli.demo.read_recording", lambda folder: folder)
     for given in (0, seed, seed):
         assert invoke("demo", "--out", tmp_path, "--seed", given).exit_code == 130
     assert (tmp_path / "corridor" / "seq-01" / "seed").read_text() == str(seed)

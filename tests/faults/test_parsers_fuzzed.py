@@ -18,7 +18,6 @@ from PIL import Image
 
 from conformodal.conformal import ConformodalError
 from conformodal.io import Layout, read_image, read_recording
-from conformodal.io.pose_files import read_euroc, read_kitti, read_tum
 from conformodal.io.streams.opening import open_stream
 from tests.io.test_layouts import WRITERS, N
 
@@ -132,7 +131,7 @@ def sets(tmp_path_factory):
 
 
 QUICK = settings(
-    max_examples=int(os.environ.get("FUZZ_EXAMPLES", "12")),
+    max_examples=int(os.environ.get("FUZZ_EXAMPLES", "8")),
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
@@ -197,26 +196,6 @@ def test_trees_of_another_shape(sets, layout, name, load, dump, keys, draw, valu
         return dump(tree).encode()
 
     read_changed(sets, layout, name, change)
-
-
-TRAJECTORIES = {
-    "tum": (read_tum, b"# t x y z qx qy qz qw\n0.1 1 2 3 0 0 0 1\n0.2 1 2 4 0 0 0.1 0.9\n"),
-    "kitti": (read_kitti, b"1 0 0 1 0 1 0 2 0 0 1 3\n1 0 0 1.5 0 1 0 2 0 0 1 3\n"),
-    "euroc": (read_euroc, b"#t\n1403636579763555584,1,2,3,1,0,0,0,9,9\n1403636579813555584,1,2,3,0.9,0.1,0,0,9,9\n"),
-}
-
-
-@pytest.mark.parametrize("kind", TRAJECTORIES)
-@QUICK
-@given(what=CHANGES)
-def test_trajectories(tmp_path_factory, kind, what):
-    read, content = TRAJECTORIES[kind]
-    path = tmp_path_factory.getbasetemp() / "t.txt"
-    path.write_bytes(changed(content, what))
-    found = soundly(lambda: read(path))
-    if found is not None:
-        assert np.isfinite(found.poses_se3).all()
-        assert np.isfinite(found.timestamps_s).all()
 
 
 def pictures():
@@ -321,7 +300,6 @@ LARGE = {
     "YAML that holds itself": (Layout.EUROC, "sensor.yaml", b"intrinsics: &a [*a, *a, *a, *a]\nT_BS: {data: *a}\n"),
     "a YAML object": (Layout.EUROC, "sensor.yaml", b"!!python/object/apply:os.getcwd []\n"),
     "one long line of images": (Layout.TUM, "rgb.txt", b"1 " + b"a" * 990_000),
-    "many poses": (Layout.TUM, "groundtruth.txt", b"".join(b"%d 0 0 0 0 0 0 1\n" % i for i in range(50_000))),
     "many damaged poses": (Layout.TUM, "groundtruth.txt", b"x\n" * 20_000 + b"100 0 0 0 0 0 0 1\n"),
     "NULs": (Layout.KITTI, "calib.txt", bytes(990_000)),
     "a recording of many digits": (Layout.SEVENSCENES, "TrainSplit.txt", b"sequence" + b"9" * 9000 + b"\n"),
@@ -343,19 +321,12 @@ def test_large_and_hostile_texts(sets, what):
         read_changed(sets, layout, name, lambda _: hostile)
 
 
-def with_text():
-    body = b"zTXt" + b"Comment\0\0" + zlib.compress(bytes(20_000_000), 9)
-    whole = png_of(8, 8)
-    return whole[:33] + struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body)) + whole[33:]
-
-
 HOSTILE_IMAGES = {
     "four million pixels": (lambda: png_of(2000, 2000, 2), False),
     "100 million pixels of 1 bit": (lambda: png_of(10_000, 10_000, 0, 1), True),
     "60000 x 60000 of 1 bit": (lambda: png_of(60_000, 60_000, 0, 1), True),
     "one row": (lambda: png_of(2_000_000_000, 1, 0, 1), True),
     "no pixel": (lambda: png_of(0, 0), True),
-    "text that unpacks to much": (with_text, True),
 }
 
 

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from conformodal.geometry import MotionStatus, RelativeMotion, Trajectory
-from conformodal.io import read_sevenscenes
+from conformodal.io import read_recording
 from conformodal.io.streams.frames import Frame
 from conformodal.localizer.prior import fit_motion_prior
 from conformodal.localizer.region_rules import EvidenceType
@@ -29,7 +29,7 @@ def model(small_world):
 
 @pytest.fixture(scope="module")
 def images(small_world):
-    sequence = read_sevenscenes(small_world.folder)
+    sequence = read_recording(small_world.folder)
     return [sequence.image(i) for i in range(50, 54)]
 
 
@@ -165,7 +165,7 @@ FRAMES = [[-1, 2], [0, 10**6], [3, 2], [2, 2], np.ones(5, bool), [0.5, 1.5], [[0
 @pytest.mark.parametrize("frames", FRAMES, ids=repr)
 def test_frames_to_answer_are_increasing_indices(model, small_world, frames):
     with pytest.raises(OdometryError, match="frames must"):
-        VisualOdometry(model).process(read_sevenscenes(small_world.folder), frames)
+        VisualOdometry(model).process(read_recording(small_world.folder), frames)
 
 
 @pytest.mark.parametrize("time", [np.nan, np.inf, -np.inf])

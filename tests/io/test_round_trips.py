@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from conformodal.geometry import PinholeCamera, Trajectory
-from conformodal.io import Layout, Recording, read_recording
+from conformodal.io import Recording, read_recording
 from conformodal.io.convert import WRITABLE, write_layout
 from conformodal.io.streams.stored import RecordingStream
 
@@ -89,9 +89,3 @@ few = settings(max_examples=12, deadline=None, suppress_health_check=[HealthChec
 @few
 def test_what_is_written_is_read_back(layout, source):
     check_round_trip(source, layout)
-
-
-@given(source=sources(n_recordings=3))
-@few
-def test_recordings_stay_apart(source):
-    check_round_trip(source, Layout.SEVENSCENES)

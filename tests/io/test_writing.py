@@ -1,6 +1,5 @@
 import json
 import warnings
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -30,32 +29,6 @@ def scene(folder, n=6, lens=True):
     if lens:
         (folder / "camera-distortion.txt").write_text("-0.1 0.02 0.001 0.002\n")
     return read_recording(folder)
-
-
-def test_seven_scenes_keeps_gaps_by_the_numbers_of_its_frames(tmp_path):
-    before = scene(tmp_path / "a")
-    before.image_paths[2].write_bytes(b"no image")
-    known = before.truth[np.array([0, 1, 2, 4])]
-    done = write_layout(tmp_path / "b", Layout.SEVENSCENES, RecordingStream(before), before.camera, known)
-    assert (done.n_frames, done.n_posed, done.n_unreadable) == (5, 3, 1)
-    (why,) = [note for note in done.notes if note.startswith(f"{before.image_paths[2]}: cannot be decoded")]
-    assert [note for note in done.notes if note != why] == [
-        "left out 1 frame without an image: 5.200000.png",
-        "kept 2 frames without a pose: 5.300000.png, 5.500000.png",
-    ]
-    with pytest.warns(DatasetWarning, match="2 x no pose"):
-        after = read_recording(tmp_path / "b", require_poses=False)
-    assert [path.name[6:12] for path in after.image_paths] == ["000000", "000001", "000003", "000004", "000005"]
-    np.testing.assert_allclose(after.timestamps_s, [0, 0.1, 0.3, 0.4, 0.5], atol=1e-9)
-    np.testing.assert_allclose(after.known_poses.timestamps_s, [0, 0.1, 0.4], atol=1e-9)
-
-
-def test_seven_scenes_says_that_uneven_times_are_lost(tmp_path):
-    before = scene(tmp_path / "a", n=12)
-    times = np.cumsum([0, 0.1, 0.1, 0.13, 0.04, 0.1, 0.17, 0.1, 0.06, 0.1, 0.11, 0.08])
-    moved = replace(before, timestamps_s=times, truth=replace(before.truth, timestamps_s=times))
-    done = write_layout(tmp_path / "b", Layout.SEVENSCENES, RecordingStream(moved), moved.camera, moved.truth)
-    assert done.notes == ["7scenes has no timestamps: they are read back as even, 10.000 Hz"]
 
 
 def test_a_video_becomes_a_data_set(tmp_path):

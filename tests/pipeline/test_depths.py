@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from conformodal.geometry import PoseError, matrix_from_quat_wxyz
-from conformodal.io import ImageError, read_sevenscenes
+from conformodal.io import ImageError, read_recording
 from conformodal.pipeline.depths import measure_depths
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.store import load_model, save_model
@@ -27,7 +27,7 @@ class Watched:
 
 
 def test_depths_of_redkitchen_are_those_of_a_kitchen(redkitchen):
-    sequence = Watched(read_sevenscenes(redkitchen))
+    sequence = Watched(read_recording(redkitchen))
     frames = np.sort(np.random.default_rng(0).choice(1000, 640, replace=False))
     depth, spread = measure_depths(sequence, frames)
     assert set(sequence.asked) <= set(frames.tolist())  # test frames are not looked at
@@ -37,7 +37,7 @@ def test_depths_of_redkitchen_are_those_of_a_kitchen(redkitchen):
 
 
 def test_few_frames_say_nothing(redkitchen):
-    sequence = read_sevenscenes(redkitchen)
+    sequence = read_recording(redkitchen)
     for frames in (np.arange(4), np.array([5]), np.array([], dtype=np.int64), np.arange(0, 1000, 200)):
         assert np.isnan(measure_depths(sequence, frames)).all()
 
@@ -45,7 +45,7 @@ def test_few_frames_say_nothing(redkitchen):
 def test_bad_sequences_are_told(redkitchen, tmp_path):
     for path in sorted(redkitchen.glob("frame-00000*")):
         shutil.copy(path, tmp_path)
-    sequence = read_sevenscenes(tmp_path)
+    sequence = read_recording(tmp_path)
     with pytest.raises(PoseError):
         measure_depths(replace(sequence, truth=None), np.arange(10))
     sequence.image_paths[3].write_bytes(b"no image")
@@ -60,7 +60,7 @@ def test_a_model_that_knows_no_depths_is_saved_and_answers(small_world, tmp_path
     save_model(model, tmp_path / "model")
     back = load_model(tmp_path / "model")
     assert np.isnan([back.prior.depth_m, back.prior.depth_spread]).all()
-    sequence = read_sevenscenes(small_world.folder)
+    sequence = read_recording(small_world.folder)
     run = VisualOdometry(back).process(sequence, np.arange(12))
     assert run.observations(np.arange(12)).submaps
     assert np.isfinite(run.trajectory.positions_xyz).all()

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.cli.outcome import Part, part_frames
 from conformodal.geometry import PinholeCamera, Trajectory
-from conformodal.io import PixelNoise, Recording, read_sevenscenes
+from conformodal.io import PixelNoise, Recording, read_recording
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.identity import data_digest, identify
 from conformodal.pipeline.selection import calibrate_selection
@@ -172,7 +172,7 @@ def test_a_part_is_found_whatever_the_frames_are_called(model, copy):
         number = int(path.name[6:12])
         path.rename(path.with_name(f"frame-{2000 - number:06d}{path.name[12:]}"))
     (copy / "frame-rate.txt").write_text("7\n")
-    here = read_sevenscenes(copy)
+    here = read_recording(copy)
     assert part_frames(model, here, Part.ALL) is None
     for part in (Part.TEST, Part.CALIBRATION, Part.TRAIN):
         assert part_frames(model, here, part).tolist() == (n - 1 - model.split.part(str(part)))[::-1].tolist()
@@ -184,7 +184,7 @@ def test_other_images_under_the_same_names_have_no_part(model, copy):
             Image.fromarray(255 - np.asarray(image.convert("RGB"))).save(path)
     n = len(model.split.test)
     with pytest.raises(OdometryError, match=rf"copy: .*none of the {n} frames of the test part"):
-        part_frames(model, read_sevenscenes(copy), Part.TEST)
+        part_frames(model, read_recording(copy), Part.TEST)
 
 
 def test_a_part_with_other_poses_is_refused(model, sequence):
@@ -218,12 +218,12 @@ def test_calibrate_refuses_data_of_which_it_knows_a_frame(model, copy, tmp_path)
     last = sorted((copy / "seq-01").glob("*.png"))[-1]
     for path in (last, last.with_name(last.name.replace("color.png", "pose.txt"))):
         path.unlink()
-    less = read_sevenscenes(copy)
+    less = read_recording(copy)
     with pytest.raises(OdometryError, match=rf"frame-000000.*{len(less)} of {len(less)} frames; calibrate on other"):
         calibrate_selection(model, less)
     flight = fly(tmp_path / "flight", 50, slice(4), 9)
-    new = read_sevenscenes(flight)
+    new = read_recording(flight)
     assert not model.known_frames.known(identify(new)).any()
     shutil.copy(less.image_paths[int(model.split.train[5])], flight / "frame-000002.color.png")
     with pytest.raises(OdometryError, match=r"frame-000002.*1 of 4 frames"):
-        calibrate_selection(model, read_sevenscenes(flight))
+        calibrate_selection(model, read_recording(flight))

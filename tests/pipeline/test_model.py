@@ -10,7 +10,7 @@ from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.local import extract_local_features
 from conformodal.features.networks.torch_backbone import TorchBackbone
 from conformodal.features.settings import TrainingConfig
-from conformodal.io import Disturbance, read_sevenscenes
+from conformodal.io import Disturbance, read_recording
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.radius import Guarantee, PoseRadius
 from conformodal.localizer.region_rules import EvidenceType, RegionRules
@@ -184,7 +184,7 @@ def test_unreadable_files_are_left_out_and_told(sequence, small_world, tmp_path)
     import shutil
 
     shutil.copytree(small_world.folder, tmp_path / "copy")
-    copy = read_sevenscenes(tmp_path / "copy")
+    copy = read_recording(tmp_path / "copy")
     copy.image_paths[12].write_bytes(b"no image")
     run = VisualOdometry.load(small_world.model).process(copy, np.arange(10, 16))
     assert run.frames.tolist() == [10, 11, 13, 14, 15]

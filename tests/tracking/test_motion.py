@@ -7,7 +7,7 @@ from conformodal.corridor.render import Renderer
 from conformodal.corridor.world import CorridorWorld
 from conformodal.geometry import MotionStatus, PinholeCamera
 from conformodal.geometry.undistortion import undistort
-from conformodal.io import read_sevenscenes
+from conformodal.io import read_recording
 from conformodal.tracking.frontend import EssentialFrontEnd, MotionFrontEnd
 from conformodal.tracking.relative_pose import estimate_relative_motion, plane_motions
 from conformodal.tracking.settings import MOTION_ERRORS
@@ -159,7 +159,7 @@ def test_black_blank_and_cut_frames_do_not_break_the_stream():
 
 
 def test_redkitchen_rotations(redkitchen):
-    sequence = read_sevenscenes(redkitchen)
+    sequence = read_recording(redkitchen)
     poses = sequence.require_truth().poses_se3
     front_end = MotionFrontEnd(sequence.camera)
     errors, directions = [], []

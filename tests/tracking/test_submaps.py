@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import PinholeCamera
-from conformodal.io import read_sevenscenes
+from conformodal.io import read_recording
 from conformodal.io.decoding import grey_image
 from conformodal.tracking.submaps import build_submaps
 from conformodal.tracking.tracker import Corners, CornerTracker
@@ -116,7 +116,7 @@ def test_frames_are_renumbered_or_refused():
 
 
 def test_corners_keep_their_numbers(redkitchen):
-    sequence = read_sevenscenes(redkitchen)
+    sequence = read_recording(redkitchen)
     tracker = CornerTracker()
     seen = []
     for i in range(100, 106):
@@ -137,7 +137,7 @@ def test_corners_keep_their_numbers(redkitchen):
 
 
 def test_redkitchen_submaps_know_the_path_to_millimetres(redkitchen):
-    sequence = read_sevenscenes(redkitchen)
+    sequence = read_recording(redkitchen)
     truth = sequence.require_truth()[slice(280, 320)]
     tracker, corners = CornerTracker(), []
     for i in range(280, 320):

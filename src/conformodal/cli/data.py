@@ -161,6 +161,8 @@ def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
     height, width, _ = first.shape
     notes: list[Note] = []
     camera = camera_beside(folder, (width, height), None, notes)
+    if camera is None:
+        raise DatasetError(f"{folder}: holds no camera-intrinsics.txt; write the 3x3 matrix of the camera into it")
     for what, where in notes:
         report_line(f"{what}: {where}")
     return camera

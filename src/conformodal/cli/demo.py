@@ -21,7 +21,7 @@ from conformodal.corridor.world import CorridorWorld
 from conformodal.corridor.writer import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
-from conformodal.io import Recording, read_sevenscenes
+from conformodal.io import Recording, read_recording
 from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.results import lock_output, write_metrics
 from conformodal.report.page import write_page
@@ -93,4 +93,4 @@ def _corridor(place: Path, seed: int, report: StageProgress) -> Recording:
     shutil.rmtree(old, ignore_errors=True)
     if not flight.is_dir():
         write_corridor(place, n_modules=N_MODULES, n_laps=N_LAPS, seed=seed, progress=stage_of(report, "corridor"))
-    return read_sevenscenes(place)
+    return read_recording(place)

@@ -91,12 +91,12 @@ def open_sequence(
     notes: bool = True,
 ) -> Recording:
     """Read a data set in a layout; says what was recognised, and the reader's notes."""
+    name = recognise(path) if layout is Layout.AUTO else str(layout)
     if layout is Layout.AUTO:
-        layout = recognise(path)
-        report_line(f"{path}: {layout} layout")
+        report_line(f"{path}: {name} layout")
     with warnings.catch_warnings():  # they are printed here
         warnings.simplefilter("ignore", DatasetWarning)
-        sequence = read_recording(path, layout, require_poses=require_poses, follow_outside=follow_outside, focal=focal)
+        sequence = read_recording(path, name, require_poses=require_poses, follow_outside=follow_outside, focal=focal)
     if notes:
         _report_notes(sequence.notes)
     return sequence
@@ -160,7 +160,7 @@ def open_source(
     if topic is not None and not isinstance(stream, BagStream):
         raise OptionError(f"--topic is for ROS recordings, and {source} is not one, got {topic!r}")
     if isinstance(stream, RecordingStream):
-        kind = recognise(Path(source)) if layout is Layout.AUTO else layout
+        kind = recognise(Path(source)) if layout is Layout.AUTO else str(layout)
         poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"
         report_line(f"{source}: {kind} layout, {counted(len(stream.sequence), 'frame')} {poses}")
         _report_notes(stream.sequence.notes)

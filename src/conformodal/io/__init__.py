@@ -1,4 +1,4 @@
-"""Reading data sets into one :class:`Recording` type, cutting them into parts, and the built-in corridor world.
+"""Reading data sets into one :class:`Recording` type, and cutting them into parts.
 
 Readers raise :class:`DatasetError`, which names the file, if something is missing or damaged, or does not fit.
 """
@@ -11,19 +11,12 @@ with require_extra("run", "reading images"):
 
 from .check import DatasetCheck, Finding, check_recording
 from .decoding import THUMBNAIL, read_image, thumbnail
-from .disturbance import Disturbance
+from .disturbance import Disturbance, PixelNoise
 from .errors import DatasetError, DatasetWarning, ImageError, SplitError
-from .layouts.colmap import read_colmap
-from .layouts.euroc import read_euroc_mav
-from .layouts.images import read_image_folder
-from .layouts.kitti import read_kitti_odometry
-from .layouts.nerf import read_nerf
-from .layouts.rgbd_scenes import read_rgbd_scenes
-from .layouts.sevenscenes import read_sevenscenes
-from .layouts.tum import read_tum_rgbd
+from .frame_table import FrameTable
 from .reading import Note
-from .recording import ImageChange, PixelNoise, Recording
-from .registry import Layout, read_recording, recognise
+from .recording import ImageChange, Recording
+from .registry import Layout, Reader, read_recording, readers, recognise
 from .splits import Split, SplitKind, frames_to_known, held_out_together, make_split, with_random_calibration
 
 __all__ = [
@@ -33,11 +26,13 @@ __all__ = [
     "DatasetWarning",
     "Disturbance",
     "Finding",
+    "FrameTable",
     "ImageChange",
     "ImageError",
     "Layout",
     "Note",
     "PixelNoise",
+    "Reader",
     "Recording",
     "Split",
     "SplitError",
@@ -46,16 +41,9 @@ __all__ = [
     "frames_to_known",
     "held_out_together",
     "make_split",
-    "read_colmap",
-    "read_euroc_mav",
     "read_image",
-    "read_image_folder",
-    "read_kitti_odometry",
-    "read_nerf",
     "read_recording",
-    "read_rgbd_scenes",
-    "read_sevenscenes",
-    "read_tum_rgbd",
+    "readers",
     "recognise",
     "thumbnail",
     "with_random_calibration",

@@ -10,36 +10,27 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from conformodal.io.layouts.euroc import SHIFTED
-from conformodal.io.layouts.nerf import ORIGINAL_WORLD
 
-from .cameras import OF_LAYOUT, SCALED
+from .cameras import OF_LAYOUT, SCALED, UNDISTORTED
 from .convention import AS_GIVEN, fitting_convention
-from .decoding import SCALED_BITS, TURNED
+from .decoding import TURNED
 from .errors import ImageError
-from .frame_table import CONVERTED, INTERPOLATED
-from .lenses import AS_STORED, OTHER_CAMERA, UNDISTORTED
-from .reading import NUMBERS, by_what
+from .frame_table import CONVERTED, INTERPOLATED, SCALED_BITS
+from .lenses import OTHER_CAMERA
+from .reading import by_what
 from .recording import Recording
 
 # A step in time longer than this many usual ones is a gap; one in space, a jump.
 _GAP, _JUMP = 3.0, 10.0
 _LEAST_JUMP_M = 0.05
 # What a reader did, and nothing that is wrong.
-_NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, CONVERTED, SHIFTED, AS_STORED}
-_NOTES |= {ORIGINAL_WORLD, OF_LAYOUT, NUMBERS}
+_NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, CONVERTED, SHIFTED}
+_NOTES.add(OF_LAYOUT)
 
 
 @dataclass
 class Finding:
-    """Something to look at.
-
-    Attributes
-    ----------
-    what, count, first
-        What it is, how often it occurs, and where first.
-    wrong
-        Whether something is wrong with the data; gaps in time and repeated pictures are only worth knowing.
-    """
+    """Something to look at: what it is, how often it occurs, where first, and whether it is wrong or worth knowing."""
 
     what: str
     count: int
@@ -53,16 +44,14 @@ class DatasetCheck:
 
     Attributes
     ----------
-    n_frames, n_recordings, n_poses
-        Counts.
-    width, height
-        Of the camera's images, pixels.
+    n_frames, n_recordings, n_poses, width, height
+        Counts, and pixels of the camera's images.
     duration_s, rate_hz
         From the first frame to the last, recordings apart; and the usual rate.
     extent_m, path_m
         Size of the box around all positions, (3,), and length of the path; None without poses.
     findings
-        Everything that is worth knowing; `wrong` tells what is not as it should be.
+        Everything that is worth knowing.
     """
 
     n_frames: int
@@ -86,47 +75,29 @@ def check_recording(sequence: Recording, progress: Callable[[int, int], None] | 
     linked = np.flatnonzero(np.diff(sequence.recording) == 0)
     steps = np.diff(sequence.timestamps_s)[linked]
     usual = float(np.median(steps)) if steps.size else float("nan")
-    found = [Finding(what, len(where), where[0], what not in _NOTES) for what, where in by_what(sequence.notes).items()]
+    findings = [
+        Finding(what, len(where), where[0], what not in _NOTES) for what, where in by_what(sequence.notes).items()
+    ]
 
     def add(what: str, at: list[int], *, wrong: bool = True) -> None:
         if at:
-            found.append(Finding(what, len(at), names[at[0]], wrong))
+            findings.append(Finding(what, len(at), names[at[0]], wrong))
 
-    add(
-        f"gap in time of more than {_GAP:g} usual steps before",
-        (linked[steps > _GAP * usual] + 1).tolist(),
-        wrong=False,
-    )
+    late = (linked[steps > _GAP * usual] + 1).tolist()
+    add(f"gap in time of more than {_GAP:g} usual steps before", late, wrong=False)
     extent = path = None
     if sequence.truth is not None:
         positions = sequence.truth.positions_xyz
-        moved = np.linalg.norm(np.diff(positions, axis=0), axis=1)[linked]
-        extent, path = np.ptp(positions, axis=0).round(4).tolist(), round(float(moved.sum()), 4)
-        speed = moved / np.maximum(steps, 1e-9)
-        jumps = (speed > _JUMP * np.median(speed)) & (moved > _LEAST_JUMP_M) if speed.size else np.empty(0, dtype=bool)
-        add(f"position jumps, more than {_JUMP:g} times as fast as usual, before", (linked[jumps] + 1).tolist())
-        best, shares = fitting_convention(sequence)
-        if best != AS_GIVEN:
-            most, as_read = 100 * max(shares.values()), 100 * shares[AS_GIVEN]
-            where = (
-                f"{most:.0f} % of the matched corners are within 2 px of their epipolar line, as read {as_read:.0f} %"
-            )
-            found.append(Finding(f"poses fit the images as {best}, and are read as {AS_GIVEN}", 1, where))
-    problems: dict[int, str] = {}
-    digests: list[bytes] = [b""] * len(sequence)
-
-    def look(i: int) -> None:
-        try:
-            digests[i] = hashlib.sha256(sequence.image(i).tobytes()).digest()
-        except ImageError as exc:
-            problems[i] = str(exc)
-
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        for done, _ in enumerate(pool.map(look, range(len(sequence))), start=1):
-            if progress is not None:
-                progress(done, len(sequence))
+        lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1)[linked]
+        extent, path = np.ptp(positions, axis=0).round(4).tolist(), round(float(lengths.sum()), 4)
+        speed = lengths / np.maximum(steps, 1e-9)
+        if speed.size:
+            jumps = (speed > _JUMP * np.median(speed)) & (lengths > _LEAST_JUMP_M)
+            add(f"position jumps, more than {_JUMP:g} times as fast as usual, before", (linked[jumps] + 1).tolist())
+        findings += _doubts_of_convention(sequence)
+    digests, problems = _decode_all(sequence, progress)
     if problems:
-        found.append(Finding("image cannot be read", len(problems), problems[min(problems)]))
+        findings.append(Finding("image cannot be read", len(problems), problems[0]))
     same = [i for i in (linked + 1).tolist() if digests[i] and digests[i] == digests[i - 1]]
     add("the same picture as the frame before", same, wrong=False)
     return DatasetCheck(
@@ -139,5 +110,33 @@ def check_recording(sequence: Recording, progress: Callable[[int, int], None] | 
         rate_hz=round(1 / usual, 4) if usual > 0 else 0.0,
         extent_m=extent,
         path_m=path,
-        findings=found,
+        findings=findings,
     )
+
+
+def _doubts_of_convention(sequence: Recording) -> list[Finding]:
+    best, shares = fitting_convention(sequence)
+    if best == AS_GIVEN:
+        return []
+    most, as_read = 100 * max(shares.values()), 100 * shares[AS_GIVEN]
+    where = f"{most:.0f} % of the matched corners are within 2 px of their epipolar line, as read {as_read:.0f} %"
+    return [Finding(f"poses fit the images as {best}, and are read as {AS_GIVEN}", 1, where)]
+
+
+def _decode_all(sequence: Recording, progress: Callable[[int, int], None] | None) -> tuple[list[bytes], list[str]]:
+    """Digests of all images, empty where one cannot be read; and why these cannot."""
+
+    def look(i: int) -> tuple[bytes, str]:
+        try:
+            return hashlib.sha256(sequence.image(i).tobytes()).digest(), ""
+        except ImageError as exc:
+            return b"", str(exc)
+
+    digests, problems = [], []
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        for digest, problem in pool.map(look, range(len(sequence))):
+            digests.append(digest)
+            problems += [problem] if problem else []
+            if progress is not None:
+                progress(len(digests), len(sequence))
+    return digests, problems

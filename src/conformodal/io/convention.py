@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
 from conformodal.geometry import Trajectory, cross_matrices
+from conformodal.geometry.lens import on_plane
 
 from .errors import DatasetError, ImageError
-from .lenses import on_plane
 from .pose_text import table_of
 from .reading import Note
 from .recording import Recording
@@ -28,6 +29,19 @@ _FOCALS = np.geomspace(0.3, 6.0, 240)  # of the longer side
 _USUAL_PX, _DRAWS, _LEAST_NEAR, _MOST_UNSURE = 0.5, 200, 0.4, 0.125
 # Standard errors beside those of the draw: of a lens with k1 = 0.1 and a principal point 2 % off, as a share; of turns.
 _NOT_MODELLED, _TURN_DEG = 0.03, 0.05
+
+
+class _Matches(NamedTuple):
+    """Two frames of a recording, and corners (n, 2) of both in pixels."""
+
+    first: int
+    second: int
+    pixels: FloatArray
+    pixels_second: FloatArray
+
+    def motion(self, poses_se3: FloatArray) -> FloatArray:
+        """``T_second_first`` of the poses (n, 4, 4) of all frames."""
+        return np.asarray(np.linalg.inv(poses_se3[self.second]) @ poses_se3[self.first])
 
 
 def fitting_convention(sequence: Recording) -> tuple[str, dict[str, float]]:
@@ -54,10 +68,10 @@ def fitting_convention(sequence: Recording) -> tuple[str, dict[str, float]]:
         poses[f"quaternions {order}, world-to-camera"] = np.asarray(np.linalg.inv(rolled))
         poses[f"quaternions {order}, as COLMAP's world-to-camera"] = np.asarray(np.linalg.inv(_rolled(back, by)))
     near: dict[str, list[FloatArray]] = {name: [] for name in poses}
-    for first, second, *corners in _pairs(sequence, _FLOW_PX):
-        a, b = (on_plane(sequence.camera, pixels) for pixels in corners)
+    for match in _pairs(sequence, _FLOW_PX):
+        a, b = (on_plane(sequence.camera, pixels) for pixels in (match.pixels, match.pixels_second))
         for name, path in poses.items():
-            near[name].append(_epipolar_px(np.linalg.inv(path[second]) @ path[first], a, b, sequence.camera.fx))
+            near[name].append(_epipolar_px(match.motion(path), a, b, sequence.camera.fx))
     if sum(len(errors) for errors in near[AS_GIVEN]) < _LEAST_MATCHES:
         return AS_GIVEN, {}
     shares = {name: float(np.mean(np.concatenate(errors) < _NEAR_PX)) for name, errors in near.items()}
@@ -81,12 +95,13 @@ def with_fitted_focal(sequence: Recording) -> Recording:
     if sequence.truth is None:
         raise DatasetError(f"{sequence.name}: a focal length is fitted to poses, and not all frames have one")
     camera, poses = sequence.camera, sequence.truth.poses_se3
-    focals = _FOCALS * max(camera.width, camera.height)
+    focals, centre = _FOCALS * max(camera.width, camera.height), (camera.cx, camera.cy)
     costs, near, turns_deg, n_matches = [], [], [], 0
-    for first, second, a, b in _pairs(sequence, _FLOW_FOR_FOCAL_PX, _PAIRS_FOR_FOCAL):
-        motion, centre = np.linalg.inv(poses[second]) @ poses[first], (camera.cx, camera.cy)
+    for match in _pairs(sequence, _FLOW_FOR_FOCAL_PX, _PAIRS_FOR_FOCAL):
+        motion = match.motion(poses)
         turns_deg.append(np.degrees(np.arccos(np.clip(np.trace(motion[:3, :3]) / 2 - 0.5, -1, 1))))
-        errors = np.array([_epipolar_px(motion, (a - centre) / f, (b - centre) / f, f) for f in focals])
+        a, b = match.pixels - centre, match.pixels_second - centre
+        errors = np.array([_epipolar_px(motion, a / f, b / f, f) for f in focals])
         costs.append(np.log1p((errors / _USUAL_PX) ** 2).sum(axis=1))  # errors of poses are no Gaussian noise
         near.append((errors < _NEAR_PX).sum(axis=1))
         n_matches += len(a)
@@ -99,14 +114,14 @@ def with_fitted_focal(sequence: Recording) -> Recording:
     turn_deg = float(np.median(turns_deg))
     spread = float(np.linalg.norm((drawn_again, _NOT_MODELLED, _TURN_DEG / max(turn_deg, 1e-3))))
     low, high = focals[best] * np.exp([-2 * spread, 2 * spread])
-    found = f"{focals[best]:.0f} pixels, between {low:.0f} and {high:.0f} (95 %)"
+    fit = f"{focals[best]:.0f} pixels, between {low:.0f} and {high:.0f} (95 %)"
     if share < _LEAST_NEAR or spread > _MOST_UNSURE or best in (0, len(focals) - 1):
         raise DatasetError(
-            f"{sequence.name}: poses and images do not tell the focal length: {found}; {100 * share:.0f} % of the "
+            f"{sequence.name}: poses and images do not tell the focal length: {fit}; {100 * share:.0f} % of the "
             f"matched corners fit it, and the camera turns by {turn_deg:.2g} degrees while they move by "
             f"{_FLOW_FOR_FOCAL_PX:g} pixels. Write camera-intrinsics.txt"
         )
-    where = f"{sequence.name}: {found}, from poses and {n_matches} matched corners; without distortion"
+    where = f"{sequence.name}: {fit}, from poses and {n_matches} matched corners; without distortion"
     fitted = replace(camera, fx=float(focals[best]), fy=float(focals[best]))
     return replace(sequence, camera=fitted, notes=(*sequence.notes, Note(FITTED, where)))
 
@@ -118,16 +133,15 @@ def _rolled(poses: FloatArray, by: int) -> FloatArray:
     return Trajectory(times, rows[:, :3], np.roll(rows[:, 3:], by, axis=1)).poses_se3
 
 
-def _pairs(
-    sequence: Recording, least_flow_px: float, most: int = _PAIRS
-) -> list[tuple[int, int, FloatArray, FloatArray]]:
-    """Frames, evenly spread, with a later one, and corners of both in pixels."""
+def _pairs(sequence: Recording, least_flow_px: float, most: int = _PAIRS) -> list[_Matches]:
+    """Matches of frames, evenly spread, with a later one."""
     firsts = np.unique(np.linspace(0, len(sequence) - 2, most).astype(int)).tolist()
-    return [pair for first in firsts if first >= 0 and (pair := _matches(sequence, first, least_flow_px)) is not None]
+    pairs = (_matches(sequence, first, least_flow_px) for first in firsts if first >= 0)
+    return [match for match in pairs if match is not None]
 
 
-def _matches(sequence: Recording, first: int, least_flow_px: float) -> tuple[int, int, FloatArray, FloatArray] | None:
-    """A frame, a later one of the same recording, and corners of both in pixels; None where nothing moves."""
+def _matches(sequence: Recording, first: int, least_flow_px: float) -> _Matches | None:
+    """A frame and a later one of the same recording; None where nothing moves."""
     try:
         grey = cv2.cvtColor(sequence.image(first), cv2.COLOR_RGB2GRAY)
         corners = cv2.goodFeaturesToTrack(grey, _CORNERS, 0.01, 7)
@@ -135,12 +149,12 @@ def _matches(sequence: Recording, first: int, least_flow_px: float) -> tuple[int
             if corners is None or second >= len(sequence) or sequence.recording[second] != sequence.recording[first]:
                 return None
             other = cv2.cvtColor(sequence.image(second), cv2.COLOR_RGB2GRAY)
-            moved, found, _ = cv2.calcOpticalFlowPyrLK(grey, other, corners, None)  # type: ignore[call-overload]
-            again, back, _ = cv2.calcOpticalFlowPyrLK(other, grey, moved, None)  # type: ignore[call-overload]
-            kept = (found & back).ravel().astype(bool) & (np.linalg.norm(again - corners, axis=2).ravel() < 1)
-            a, b = corners[kept, 0].astype(np.float64), moved[kept, 0].astype(np.float64)
+            tracked, there, _ = cv2.calcOpticalFlowPyrLK(grey, other, corners, None)  # type: ignore[call-overload]
+            again, back, _ = cv2.calcOpticalFlowPyrLK(other, grey, tracked, None)  # type: ignore[call-overload]
+            kept = (there & back).ravel().astype(bool) & (np.linalg.norm(again - corners, axis=2).ravel() < 1)
+            a, b = corners[kept, 0].astype(np.float64), tracked[kept, 0].astype(np.float64)
             if len(a) and np.median(np.linalg.norm(a - b, axis=1)) >= least_flow_px:
-                return first, second, a, b
+                return _Matches(first, second, a, b)
     except ImageError:
         pass
     return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,46 +10,32 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.core.ranges import as_member
+from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted
 from conformodal.geometry import PinholeCamera, Trajectory, matrix_from_quat_wxyz, poses_at
 from conformodal.geometry.metrics import MAX_GAP_S, clock_hint
 from conformodal.io.streams.frames import Frame, FrameStream
 from conformodal.io.streams.stored import RecordingStream
 
-from .decoding import orientation
+from .cameras import DISTORTION, INTRINSICS
+from .decoding import is_turned
 from .errors import DatasetError
-from .reading import FRAME_RATE_HZ
 from .registry import Layout
 from .staging import staged
 
 # Where images go, and how they are named: by number, or time in seconds.
-_PLACES: dict[Layout, tuple[str, str]] = {
-    Layout.SEVENSCENES: ("", "frame-{number:06d}.color"),
+_PLACES: dict[str, tuple[str, str]] = {
     Layout.TUM: ("rgb", "{time_s:.6f}"),
     Layout.IMAGES: ("", "{number:06d}"),
     Layout.COLMAP: ("images", "{number:06d}"),
 }
 WRITABLE = tuple(_PLACES)
 _MOST_NAMES = 20
-_UNEVEN = 0.2  # of a frame's time
-_MOST_NUMBERED = 999_999  # six digits
 
 
 @dataclass
 class ConversionReport:
-    """What was written, and what was not; the notes name the frames.
-
-    Attributes
-    ----------
-    n_frames, n_posed
-        Written, and how many of them with a pose.
-    n_unreadable, n_without_time
-        Left out.
-    notes
-        For people.
-    """
+    """How many frames were written, written with a pose, and left out; the notes, for people, name the frames."""
 
     n_frames: int = 0
     n_posed: int = 0
@@ -61,7 +46,7 @@ class ConversionReport:
 
 def write_layout(
     folder: Path,
-    layout: Layout | str,
+    layout: str,
     stream: FrameStream,
     camera: PinholeCamera,
     poses: Trajectory | None,
@@ -80,26 +65,36 @@ def write_layout(
         If the folder holds something, the layout cannot be written or cannot hold several recordings or no poses, a
         name would be used twice, or nothing is left to write.
     """
-    layout = as_member(layout, Layout, "layout", DatasetError)
-    if layout not in _PLACES:
-        raise DatasetError(f"layout {layout} is read only; can be written: {', '.join(WRITABLE)}")
-    if poses is None and layout is Layout.COLMAP:
+    if layout not in WRITABLE:
+        raise DatasetError(f"layout must be one of {', '.join(WRITABLE)}, got {layout!r}")
+    if poses is None and layout == Layout.COLMAP:
         raise DatasetError(f"{layout} needs poses")
-    several = isinstance(stream, RecordingStream) and len(np.unique(stream.sequence.recording)) > 1
-    if several and layout is not Layout.SEVENSCENES:
-        raise DatasetError(
-            f"{stream.name}: holds several recordings, and {layout} has a place for one; write 7scenes, or convert one "
-            "at a time"
-        )
     if isinstance(stream, RecordingStream):  # what is known before the first frame is read
+        if len(np.unique(stream.sequence.recording)) > 1:
+            raise DatasetError(f"{stream.name}: holds several recordings; convert one at a time")
         _pair(stream.name, stream.sequence.timestamps_s, poses, max_gap_s)
     with staged(folder) as part:
-        frames = _Frames(part, layout, several)
+        writer = _ImageWriter(part, layout, (camera.width, camera.height))
         for number, frame in enumerate(stream, start=1):
-            frames.take(frame, stream, camera)
+            writer.add(frame, stream)
             if progress is not None:
                 progress(number)
-        return frames.finish(stream.name, camera, poses, max_gap_s)
+        if not writer.names:
+            left = f"{len(writer.unreadable)} unreadable, no time for the rest"
+            raise DatasetError(f"{stream.name}: nothing to write: {left}")
+        times = np.array(writer.times)
+        rows = _pair(stream.name, times, poses, max_gap_s)
+        _write_beside(layout, part, writer.names, times, rows, camera)
+    posed = np.isfinite(rows).all(axis=1)
+    without_pose = [] if poses is None else [writer.sources[i] for i in np.flatnonzero(~posed)]
+    left_out = {
+        "left out {} without an image": writer.unreadable,
+        "left out {} whose time goes back": writer.without_time,
+        "kept {} without a pose": without_pose,
+    }
+    notes = [_listed(why, names) for why, names in left_out.items() if names] + writer.problems[:1]
+    counts = int(posed.sum()), len(writer.unreadable), len(writer.without_time)
+    return ConversionReport(len(times), *counts, notes)
 
 
 def _pair(name: str, times: FloatArray, poses: Trajectory | None, max_gap_s: float) -> FloatArray:
@@ -113,139 +108,77 @@ def _pair(name: str, times: FloatArray, poses: Trajectory | None, max_gap_s: flo
     return rows
 
 
-class _Frames:
-    """Frames as they are written; see :func:`write_layout` for the parameters."""
+class _ImageWriter:
+    """Writes the images of frames one after the other, and lists those that are left out."""
 
-    def __init__(self, folder: Path, layout: Layout, several: bool) -> None:
-        self.folder, self.layout, self.several = folder, layout, several
-        self.place, self.pattern = folder / _PLACES[layout][0], _PLACES[layout][1]
+    def __init__(self, folder: Path, layout: str, size: tuple[int, int]) -> None:
+        below, self.pattern = _PLACES[layout]
+        self.place, self.size, self.recording = folder / below, size, 0
         self.place.mkdir(parents=True, exist_ok=True)
-        self.rows: list[tuple[str, str, float, int]] = []  # names in the source and here, time, recording
-        self.counts: Counter[int] = Counter()  # frames by recording
+        self.sources: list[str] = []  # names in the source of what is written, and here
+        self.names: list[str] = []
+        self.times: list[float] = []
         self.unreadable: list[str] = []
         self.without_time: list[str] = []
-        self.problem = ""  # of the first that cannot be read
+        self.problems: list[str] = []
 
-    def take(self, frame: Frame, stream: FrameStream, camera: PinholeCamera) -> None:
+    def add(self, frame: Frame, stream: FrameStream) -> None:
         """Write a frame's image, or take up why it is left out."""
-        if not self.several and self.rows and frame.recording != self.rows[-1][3]:
+        if self.times and frame.recording != self.recording:
             raise DatasetError(f"{stream.name}: holds several recordings; convert one at a time")
-        if frame.image is None or frame.image.shape[:2] != (camera.height, camera.width):
+        if frame.image is None or frame.image.shape[1::-1] != self.size:
             self.unreadable.append(frame.name)
-            self.problem = self.problem or frame.problem
-        elif not np.isfinite(frame.timestamp_s) or (self.rows and frame.timestamp_s <= self.rows[-1][2]):
+            self.problems += [frame.problem] if frame.problem else []
+        elif not np.isfinite(frame.timestamp_s) or (self.times and frame.timestamp_s <= self.times[-1]):
             self.without_time.append(frame.name)
         else:
-            name = self._image(frame, stream)
-            self.rows.append((frame.name, name, frame.timestamp_s, frame.recording))
-            self.counts[frame.recording] += 1
+            self.names.append(self._write(frame, stream))
+            self.sources.append(frame.name)
+            self.times.append(frame.timestamp_s)
+            self.recording = frame.recording
 
-    def _image(self, frame: Frame, stream: FrameStream) -> str:
-        place = self.place / f"seq-{frame.recording + 1:02d}" if self.several else self.place
-        place.mkdir(exist_ok=True)
+    def _write(self, frame: Frame, stream: FrameStream) -> str:
         source = stream.sequence.image_paths[frame.index] if isinstance(stream, RecordingStream) else Path()
-        upright = source.suffix in (".png", ".jpg") and orientation(source)[0] == 1
-        suffix = source.suffix if upright else ".png"
-        stem = self.pattern.format(number=self.counts[frame.recording], time_s=frame.timestamp_s)
-        target = place / f"{stem}{suffix}"
+        upright = source.suffix in (".png", ".jpg") and not is_turned(source)
+        stem = self.pattern.format(number=len(self.names), time_s=frame.timestamp_s)
+        target = self.place / f"{stem}{source.suffix if upright else '.png'}"
         if target.exists():
             raise DatasetError(f"{target}: two frames have this name")
         if upright:
             shutil.copyfile(source, target)
         else:
             Image.fromarray(np.asarray(frame.image)).save(target)
-        return str(target.relative_to(self.place))
-
-    def finish(self, name: str, camera: PinholeCamera, truth: Trajectory | None, max_gap_s: float) -> ConversionReport:
-        """Write everything but the images."""
-        if not self.rows:
-            raise DatasetError(f"{name}: nothing to write: {len(self.unreadable)} unreadable, no time for the rest")
-        sources, names = [row[0] for row in self.rows], [row[1] for row in self.rows]
-        times, recording = np.array([row[2] for row in self.rows]), np.array([row[3] for row in self.rows])
-        poses = _pair(name, times, truth, max_gap_s)
-        posed = np.asarray(np.isfinite(poses).all(axis=1))
-        notes = _write(self.layout, self.folder, names, times, recording, poses, camera)
-        left = {
-            "left out {} without an image": self.unreadable,
-            "left out {} whose time goes back": self.without_time,
-            "kept {} without a pose": [sources[i] for i in np.flatnonzero(~posed) if truth is not None],
-        }
-        told = [_listed(why, frames) for why, frames in left.items() if frames]
-        told += [self.problem] if self.problem else []
-        counts = int(posed.sum()), len(self.unreadable), len(self.without_time)
-        return ConversionReport(len(names), *counts, told + notes)
+        return target.name
 
 
-def _listed(why: str, frames: list[str]) -> str:
-    more = f" and {len(frames) - _MOST_NAMES} more" if len(frames) > _MOST_NAMES else ""
-    return f"{why.format(counted(len(frames), 'frame'))}: {', '.join(frames[:_MOST_NAMES])}{more}"
+def _listed(why: str, names: list[str]) -> str:
+    more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+    return f"{why.format(counted(len(names), 'frame'))}: {', '.join(names[:_MOST_NAMES])}{more}"
 
 
-def _write(
-    layout: Layout,
-    folder: Path,
-    names: list[str],
-    times: FloatArray,
-    recording: IntArray,
-    poses: FloatArray,
-    camera: PinholeCamera,
-) -> list[str]:
-    """Write what a layout has beside its images: times, camera, poses (n, 7); says what was lost."""
-    at = np.flatnonzero(np.isfinite(poses).all(axis=1))
-    truth = Trajectory(times[at], poses[at, :3], poses[at, 3:])
-    lost: list[str] = []
-    if layout is Layout.SEVENSCENES:
-        rate, numbers, even = _numbered_by_time(times, recording)
-        for i in reversed(range(len(names))):  # numbers only grow, so the place of the new name is free
-            old = folder / names[i]
-            names[i] = str(Path(names[i]).with_name(f"frame-{numbers[i]:06d}.color{old.suffix}"))
-            old.rename(folder / names[i])
-        for i, pose in zip(at.tolist(), truth.poses_se3, strict=True):
-            np.savetxt(folder / Path(names[i]).with_name(f"frame-{numbers[i]:06d}.pose.txt"), pose, fmt="%.17g")
-        np.savetxt(folder / "frame-rate.txt", [rate])
-        lost = [] if even else [f"7scenes has no timestamps: they are read back as even, {rate:.3f} Hz"]
-    elif layout is Layout.TUM:
+def _write_beside(
+    layout: str, folder: Path, names: list[str], times: FloatArray, rows: FloatArray, camera: PinholeCamera
+) -> None:
+    """Write what a layout has beside its images: times, camera, poses (n, 7)."""
+    at = np.flatnonzero(np.isfinite(rows).all(axis=1))
+    truth = Trajectory(times[at], rows[at, :3], rows[at, 3:])
+    if layout == Layout.TUM:
         lines = [f"{time:.9f} rgb/{name}" for time, name in zip(times.tolist(), names, strict=True)]
         _write_lines(folder / "rgb.txt", ["# timestamp filename", *lines])
     else:
         np.savetxt(folder / "times.txt", times, fmt="%.9f")
-    if layout is Layout.COLMAP:
+    if layout == Layout.COLMAP:
         _write_colmap(folder / "sparse" / "0", [names[i] for i in at], truth, camera)
-        return lost
-    np.savetxt(folder / "camera-intrinsics.txt", camera.matrix)
+        return
+    np.savetxt(folder / INTRINSICS, camera.matrix)
     if camera.distortion:
-        np.savetxt(folder / "camera-distortion.txt", camera.distortion)
-    if len(truth) and layout in (Layout.TUM, Layout.IMAGES):
+        np.savetxt(folder / DISTORTION, camera.distortion)
+    if len(truth):
         # a frame without a pose has a row of NaN: else one between its neighbours' would be read back for it
-        rows = np.column_stack((poses[:, :3], np.roll(poses[:, 3:], -1, axis=1))).tolist()
-        lines = [f"{time:.9f} {' '.join(map(repr, row))}" for time, row in zip(times.tolist(), rows, strict=True)]
-        name = "groundtruth.txt" if layout is Layout.TUM else "poses.tum"
+        poses = np.column_stack((rows[:, :3], np.roll(rows[:, 3:], -1, axis=1))).tolist()
+        lines = [f"{time:.9f} {' '.join(map(repr, row))}" for time, row in zip(times.tolist(), poses, strict=True)]
+        name = "groundtruth.txt" if layout == Layout.TUM else "poses.tum"
         _write_lines(folder / name, ["# timestamp tx ty tz qx qy qz qw", *lines])
-    return lost
-
-
-def _numbered_by_time(times: FloatArray, recording: IntArray) -> tuple[float, IntArray, bool]:
-    """Frame rate, number of every frame in its recording, and whether both say its time.
-
-    Frames that are missing leave a gap in the numbers. Times that no rate fits are numbered one after the other.
-    """
-    first = np.flatnonzero(np.diff(recording, prepend=-1) != 0)
-    start = np.repeat(first, np.diff(np.append(first, len(times))))
-    counted_on = np.arange(len(times)) - start
-    inner = np.flatnonzero(np.diff(recording) == 0)
-    steps = np.diff(times)[inner]
-    if not steps.size:
-        return FRAME_RATE_HZ, counted_on, True
-    passed = times - times[start]
-    for step in (np.median(steps), steps.min()):  # where most frames are missing, few steps are of one frame
-        rise = np.zeros(len(times))
-        rise[inner + 1] = np.maximum(np.rint(steps / step), 1)
-        total = np.cumsum(rise)
-        numbers = total - total[start]
-        rate = float(numbers @ numbers / (numbers @ passed))
-        if np.abs(passed * rate - numbers).max() <= _UNEVEN and numbers.max() <= _MOST_NUMBERED:
-            return rate, numbers.astype(np.int64), True
-    return 1 / float(np.median(steps)), counted_on, False
 
 
 def _write_colmap(place: Path, names: list[str], truth: Trajectory, camera: PinholeCamera) -> None:
@@ -259,10 +192,8 @@ def _write_colmap(place: Path, names: list[str], truth: Trajectory, camera: Pinh
     for number, (name, row) in enumerate(zip(names, np.column_stack((back, shifts)).tolist(), strict=True), start=1):
         lines += [f"{number} {' '.join(map(repr, row))} 1 {name}", ""]
     place.mkdir(parents=True)
-    size = f"{camera.width} {camera.height}"
-    _write_lines(
-        place / "cameras.txt", ["# id model width height parameters", f"1 {model} {size} {' '.join(map(repr, values))}"]
-    )
+    one_camera = f"1 {model} {camera.width} {camera.height} {' '.join(map(repr, values))}"
+    _write_lines(place / "cameras.txt", ["# id model width height parameters", one_camera])
     _write_lines(place / "images.txt", lines)
     _write_lines(place / "points3D.txt", ["# holds no point"])
 

@@ -1,4 +1,4 @@
-"""Disturbed images: what a camera delivers in bad light, in motion, with a noisy sensor, or over a thin connection."""
+"""Noise and other disturbances of images: bad light, motion, a noisy sensor, a thin connection."""
 
 from __future__ import annotations
 
@@ -11,8 +11,52 @@ import numpy as np
 from PIL import Image
 
 from conformodal.core.arrays import UInt8Array
+from conformodal.core.ranges import check_ranges
 
-from .recording import ImageChange, PixelNoise
+from .errors import DatasetError
+from .recording import ImageChange
+
+
+@dataclass(frozen=True)
+class PixelNoise:
+    """Gaussian noise on every pixel and channel of the image as the camera delivers it (the paper, table 1).
+
+    Attributes
+    ----------
+    sigma
+        Standard deviation where pixels are in [0, 1].
+    seed
+        Of the noise; every frame has another by its name.
+
+    Raises
+    ------
+    DatasetError
+        If `sigma` is negative or not finite.
+    """
+
+    sigma: float
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.sigma) and self.sigma >= 0):
+            raise DatasetError(f"noise needs a standard deviation of at least 0, got {self.sigma}")
+        check_ranges({"seed": self.seed}, DatasetError)
+
+    @property
+    def changes(self) -> bool:
+        """Whether images change."""
+        return self.sigma > 0
+
+    def apply(self, image: UInt8Array, name: str) -> UInt8Array:
+        """The noisy image (h, w, 3), cut off at black and white and rounded, as a camera would."""
+        if not self.changes:
+            return image
+        rng = np.random.default_rng([self.seed, crc32(name.encode())])
+        noisy = rng.standard_normal(image.shape, dtype=np.float32)
+        noisy *= 255 * self.sigma
+        noisy += image
+        np.rint(noisy, out=noisy)
+        return np.clip(noisy, 0, 255, out=noisy).astype(np.uint8)
 
 
 @dataclass(frozen=True)

@@ -1,25 +1,24 @@
-"""Errors of the datasets layer."""
+"""Errors of the io package."""
 
 from __future__ import annotations
 
 import re
 
-from conformodal.conformal import ConformodalError
-from conformodal.conformal.checks import shortened
+from conformodal.core.errors import ConformodalError
 
 _BREAK = re.compile(r"\s*[\r\n]\s*")
-_MOST = 2000  # characters of a message
+_MOST = 2000  # characters of a message: hostile names would fill the screen
 
 
 class DatasetError(ConformodalError):
     """A folder, pose file or intrinsics file that does not follow its layout; names the file."""
 
-    def __init__(self, message: str = "") -> None:  # hostile names would fill the screen
-        super().__init__(shortened(_BREAK.sub(" ", message), _MOST))
+    def __init__(self, message: str = "") -> None:
+        super().__init__(_BREAK.sub(" ", message)[:_MOST])
 
 
 class ImageError(DatasetError):
-    """An image that is missing, truncated, or no image; names the file."""
+    """An image that is missing, truncated, or not an image; names the file."""
 
 
 class SplitError(DatasetError):

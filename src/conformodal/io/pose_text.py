@@ -1,13 +1,11 @@
-"""Text files with one pose per line."""
+"""Text files with one pose per line: the tokenizer of all formats, and what is wrong with a pose."""
 
 from __future__ import annotations
 
-import codecs
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from decimal import Decimal
 from math import isfinite
 from pathlib import Path
 
@@ -23,9 +21,8 @@ _LENGTH_OFF = 0.01  # of a unit quaternion
 _HEAD_LINES = 5
 _LOST_STEPS, _LARGE = 10, 95  # from the identity to the poses around it, each as large as this percentile
 _COLUMN = re.compile(r"\bq(?:uat)?(?:[a-z_.]*[_.])?([wxyz])\b", re.IGNORECASE)
-_FRACTION = re.compile(r"(.*?)([0-9]{1,20})\.([0-9]{1,20})(?:\.[a-z]+)?", re.IGNORECASE)
-_CLEAR = 1.5
-_END_OF_LINE = re.compile(r"\r\n|\r|\n")
+# Fractions of seconds that are whole micro- or nanoseconds without the zeros before them: digits, and how many tell it.
+_UNPADDED_DIGITS, _UNPADDED_LEAST = (6, 9), 30
 
 
 class TrajectoryFileError(PoseError):
@@ -39,36 +36,6 @@ def number(text: str) -> float:
     return float(text)
 
 
-def fractions_of(texts: list[str], *, in_order: bool = False) -> tuple[FloatArray, str] | None:
-    """Numbers with a fraction that texts end in, where all have one beginning, and what is doubtful about them.
-
-    Fractions of several lengths are decimals without the zeros at their ends, or whole nanoseconds without those before
-    them: 12.5000 may be 12 s and 5000 ns. Where zeros do not decide, numbers are read so that they increase, if they
-    are `in_order`, or as the more even ones.
-    """
-    found = [match for text in texts if (match := _FRACTION.fullmatch(text))]
-    if not found or len(found) < len(texts) or len({match[1] for match in found}) > 1:
-        return None
-    decimal, after = np.array([float(f"{match[2]}.{match[3]}") for match in found]), [match[3] for match in found]
-    longest = max(map(len, after))
-    if longest == min(map(len, after)) or any(digits[0] == "0" < digits for digits in after):
-        return decimal, ""
-    unit = next(power for power in (3, 6, 9, longest) if power >= longest)
-    unpadded = np.array([int(match[2]) + int(match[3]) / 10**unit for match in found])
-    uneven, other = (float(np.square(np.diff(np.sort(values))).sum()) for values in (decimal, unpadded))
-    ends_in_zero = any(digits[-1] == "0" < digits for digits in after)
-    whole = ends_in_zero or uneven > other * (_CLEAR if unit == 3 else 1)  # milliseconds are rarer
-    rising = [bool((np.diff(values) >= 0).all()) for values in (decimal, unpadded)]
-    if sure := in_order and not ends_in_zero and rising[0] != rising[1]:
-        whole = rising[1]
-    clear = sure or uneven * _CLEAR < other
-    if (ends_in_zero and found[0][1]) or (not whole and clear):  # counts, as in f1.10, or decimals
-        return (unpadded if whole else decimal), ""
-    match = min(found, key=lambda one: len(one[3]))
-    reading = f"{match[3]} / {10**unit:,}" if whole else f"0.{match[3]}"
-    return (unpadded if whole else decimal), f"{match[0]}: its number is read as {match[2]} + {reading}"
-
-
 def whole_number(text: str) -> int:
     """As :func:`number`, of an integer below 10^20."""
     if not text.isascii() or "_" in text or len(text) > 20:
@@ -76,25 +43,22 @@ def whole_number(text: str) -> int:
     return int(text)
 
 
-def nanoseconds(text: str) -> int:
-    """As :func:`whole_number`, also in scientific notation, exactly."""
-    try:
-        return whole_number(text)
-    except ValueError:
-        value = Decimal(text) if abs(number(text)) < 1e20 else Decimal("0.5")
-        if value != int(value):
-            raise ValueError(f"{text[:80]!r} is not a whole number") from None
-        return int(value)
+def tokens(line: str) -> list[str]:
+    """What stands between commas, or semicolons, or blanks: one of them separates a line."""
+    separator = next((mark for mark in ",;" if mark in line), None)
+    return [token.strip() for token in line.strip().removesuffix(separator or "").split(separator)]
+
+
+def numbers_in(line: str) -> list[float]:
+    """The numbers of a line."""
+    return [number(token) for token in tokens(line)]
 
 
 def text_lines(path: Path) -> list[str]:
-    """Lines of a text file in UTF-8, or UTF-16 where a byte order mark says so, with the line ends of any system."""
-    if path.exists() and not os.path.isfile(path):
+    """Lines of a text file in UTF-8, with the line ends of any system."""
+    if path.exists() and not os.path.isfile(path):  # a pipe would be waited for
         raise OSError("is not a regular file")
-    content = path.read_bytes()
-    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # as PowerShell writes it
-    lines = _END_OF_LINE.split(content.decode("utf-16" if wide else "utf-8-sig"))
-    return lines if lines[-1] else lines[:-1]
+    return path.read_text(encoding="utf-8-sig").splitlines()
 
 
 def is_header(line: str) -> bool:
@@ -106,10 +70,23 @@ def quaternion_order(path: Path) -> str:
     """The letters w, x, y, z in the order in which the head of a file names a quaternion's columns, or nothing."""
     with suppress(OSError, ValueError):
         for line in text_lines(path)[:_HEAD_LINES]:
-            found = "".join(_COLUMN.findall(line)).lower()
-            if sorted(found) == sorted("wxyz"):
-                return found
+            letters = "".join(_COLUMN.findall(line)).lower()
+            if sorted(letters) == sorted("wxyz"):
+                return letters
     return ""
+
+
+def unpadded_doubt(texts: Sequence[str]) -> str:
+    """Why fractions of seconds may be whole nanoseconds without the zeros before them, as 12.5000 for 5000 ns."""
+    fractions = [text.partition(".")[2] for text in texts]
+    longest = max(map(len, fractions), default=0)
+    of_one_length = min(map(len, fractions), default=0) == longest
+    if len(fractions) < _UNPADDED_LEAST or of_one_length or longest not in _UNPADDED_DIGITS:
+        return ""
+    if any(fraction[:1] == "0" < fraction for fraction in fractions):
+        return ""
+    shortest = min(texts, key=len)
+    return f"its times are read as decimals, such as {shortest}, and no fraction begins with 0: were zeros left out?"
 
 
 def read_rows(
@@ -133,7 +110,7 @@ def read_rows(
         Collects what is wrong with a line, by its row, which then holds NaN but for its time. The file is still refused
         if most lines do not hold `width` numbers, or all are bad. None refuses the file for any bad line.
     by_line
-        Whether rows are matched to frames by line, so that a blank line between rows is ambiguous.
+        Whether rows are matched to frames by line, so that a blank line between rows or a header is ambiguous.
     """
     try:
         lines = text_lines(path)
@@ -155,7 +132,7 @@ def read_rows(
         except (ValueError, IndexError):
             row = []
         if len(row) != width or not all(map(isfinite, row)):
-            if not rows and len(row) != width and is_header(line):
+            if not rows and is_header(line):
                 if by_line:
                     what = "begins with a word; poses belong to frames by their lines; put # before a header"
                     raise TrajectoryFileError(f"{path}, line {at}: {what}")
@@ -226,10 +203,9 @@ def matrix_faults(poses: FloatArray) -> dict[int, str]:
     """Faults of poses (n, 4, 4), by row; rows of NaN are left out."""
     n = len(poses)
     faults = pose_faults(poses[:, :3, 3], np.tile([1.0, 0, 0, 0], (n, 1)))
-    known = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
-    found = rotation_faults(poses[known, :3, :3])
-    faults |= {int(known[i]): f"is {why}" for i, why in found.items()}
-    for i in known[np.abs(poses[known, 3] - (0, 0, 0, 1)).max(axis=1, initial=0.0) > 1e-6].tolist():
+    finite = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    faults |= {int(finite[i]): f"is {why}" for i, why in rotation_faults(poses[finite, :3, :3]).items()}
+    for i in finite[np.abs(poses[finite, 3] - (0, 0, 0, 1)).max(axis=1, initial=0.0) > 1e-6].tolist():
         hint = "; is it transposed?" if np.allclose(poses[i, :, 3], (0, 0, 0, 1), atol=1e-6) else ""
         faults[i] = f"its last row is {poses[i, 3].tolist()}, expected [0.0, 0.0, 0.0, 1.0]{hint}"
     return faults | lost_faults(poses[:, :3, 3], (poses == np.eye(4)).all(axis=(1, 2)))
@@ -238,11 +214,20 @@ def matrix_faults(poses: FloatArray) -> dict[int, str]:
 def table_of(poses: FloatArray) -> FloatArray:
     """Rows ``x y z qw qx qy qz`` (n, 7) of poses (n, 4, 4); NaN where a pose is NaN."""
     rows = np.full((len(poses), 7), np.nan)
-    known = np.isfinite(poses).all(axis=(1, 2))
-    if known.any():
-        found = Trajectory.from_poses_se3(np.zeros(int(known.sum())), poses[known])
-        rows[known] = np.column_stack((found.positions_xyz, found.orientations_quat_wxyz))
+    finite = np.isfinite(poses).all(axis=(1, 2))
+    if finite.any():
+        path = Trajectory.from_poses_se3(np.zeros(int(finite.sum())), poses[finite])
+        rows[finite] = np.column_stack((path.positions_xyz, path.orientations_quat_wxyz))
     return rows
+
+
+def matrices_of(rows: FloatArray) -> FloatArray:
+    """Poses (n, 4, 4) of rows ``x y z qw qx qy qz`` (n, 7); NaN where a row is."""
+    poses = np.full((len(rows), 4, 4), np.nan)
+    finite = np.isfinite(rows).all(axis=1)
+    path = Trajectory(np.zeros(int(finite.sum())), rows[finite, :3], rows[finite, 3:])
+    poses[finite] = path.poses_se3 if len(path) else poses[finite]
+    return poses
 
 
 def drop_faults(rows: FloatArray, faults: dict[int, str], path: Path, damaged: dict[int, str] | None) -> None:
@@ -253,11 +238,3 @@ def drop_faults(rows: FloatArray, faults: dict[int, str], path: Path, damaged: d
     if lines and (damaged is None or len(damaged) == len(rows)):
         raise TrajectoryFileError(lines[min(lines)])
     rows[list(lines)] = np.nan
-
-
-def trajectory_of(path: Path, rows: FloatArray) -> Trajectory:
-    """The trajectory of rows ``time x y z qw qx qy qz`` (n, 8)."""
-    try:
-        return Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
-    except PoseError as exc:
-        raise TrajectoryFileError(f"{path}: {exc}") from exc

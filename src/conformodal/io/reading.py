@@ -1,30 +1,26 @@
-"""Small files that data sets are made of, with kind errors."""
+"""Small files that data sets are made of, with errors that name them, and the images of a folder in order."""
 
 from __future__ import annotations
 
-import functools
-import os
+import re
+from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import NamedTuple, ParamSpec, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.geometry import PoseError
 
-from .decoding import natural_key
 from .errors import DatasetError
-from .pose_text import TrajectoryFileError, fractions_of, number, text_lines
+from .pose_text import is_header, number, text_lines
 
-P = ParamSpec("P")
-Read = TypeVar("Read")
 Item = TypeVar("Item")
 
 FRAME_RATE_HZ = 30.0
-NUMBERS = "numbers can be read in two ways"
 BETWEEN_RECORDINGS_S = 10.0
 _RATES_HZ = (1e-3, 1e6)
+_DIGITS = re.compile(r"([0-9]+)")
 _NO_NUMBER = str.maketrans("[](),;", " " * 6)
 # What a file of another kind leads to, when it is taken for YAML or JSON of a known form.
 MALFORMED = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError)
@@ -40,10 +36,10 @@ class Note(NamedTuple):
 
 def by_what(notes: Iterable[Note]) -> dict[str, list[str]]:
     """Where each kind of notes was found."""
-    found: dict[str, list[str]] = {}
+    places: dict[str, list[str]] = {}
     for note in notes:
-        found.setdefault(note.what, []).append(note.where)
-    return found
+        places.setdefault(note.what, []).append(note.where)
+    return places
 
 
 def readable(name: str) -> bool:
@@ -58,85 +54,6 @@ def readable(name: str) -> bool:
 def shown(name: str) -> str:
     """A file's name for people, whatever bytes it has."""
     return name.encode(errors="surrogateescape").decode(errors="backslashreplace")
-
-
-def reader(read: Callable[P, Read]) -> Callable[P, Read]:
-    """Let a layout's reader raise this package's errors alone, whatever the file system says."""
-
-    @functools.wraps(read)
-    def wrapped(*args: P.args, **kwargs: P.kwargs) -> Read:
-        folder = str(args[0] if args else kwargs["folder"])
-        if not readable(folder):
-            raise DatasetError(f"{shown(folder)}: its name is not UTF-8; rename it")
-        try:
-            return read(*args, **kwargs)
-        except TrajectoryFileError as exc:
-            raise DatasetError(str(exc)) from exc
-        except (OSError, UnicodeError, PoseError) as exc:
-            raise DatasetError(shown(f"{folder}: cannot be read: {exc}")) from exc
-
-    return wrapped
-
-
-def by_name(items: Iterable[Item], name: Callable[[Item], str], notes: list[Note] | None = None) -> list[Item]:
-    """Items in the natural order of their names: 2 before 10, and 2.5 after 2.25 where these are decimals."""
-    listed = sorted(items, key=lambda item: natural_key(name(item)))
-    numbers = fractions_of([name(item) for item in listed])
-    if numbers is not None and numbers[1] and notes is not None:
-        notes.append(Note(NUMBERS, numbers[1]))
-    return listed if numbers is None else [listed[i] for i in np.argsort(numbers[0], kind="stable")]
-
-
-def image_files(folder: Path, notes: list[Note] | None = None) -> list[Path]:
-    """Image files of a folder in the natural order of their names; hidden files are none.
-
-    Of files with one name and several suffixes the first in ``SUFFIXES`` counts; `notes` takes up the others.
-    """
-    found: dict[str, Path] = {}
-    paths = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
-    for path in sorted(paths, key=lambda p: (SUFFIXES.index(p.suffix.lower()), p.name)):
-        first = found.setdefault(path.stem, path)
-        if first is not path and notes is not None:
-            notes.append(Note("left out, another file has its name", f"{path}: {first.name} has its name"))
-    return by_name(found.values(), lambda path: path.name, notes)
-
-
-class PathGuard:
-    """Files that the list `source` of a data set names.
-
-    Names that lead out of the folder, as absolute paths or by ``..``, are refused unless `follow_outside`. Links are
-    followed in any case: they are the choice of whoever keeps the folder, not of the list.
-    """
-
-    def __init__(self, folder: Path, source: Path, *, follow_outside: bool) -> None:
-        self.folder, self.source, self.follow_outside = folder, source, follow_outside
-        self._root = os.path.realpath(folder)
-        self._places: dict[str, str] = {}  # where folders really are
-
-    def __call__(self, base: Path, name: str) -> Path:
-        """The file of a name, from a base in the folder."""
-        if "\0" in name:
-            raise DatasetError(f"{self.source}: names {name[:80]!r}, which is no file name")
-        if "\\" in name and not os.path.lexists(os.path.join(base, name)):  # written on Windows
-            name = name.replace("\\", "/")
-        path = os.path.join(base, name)
-        written = Path(name)
-        leads_out = written.anchor or ".." in written.parts
-        if leads_out and not self.follow_outside and not self._lies_inside(path):
-            raise DatasetError(
-                f"{self.source}: names {name!r}, which lies outside {self.folder}; link it into the folder, or let it "
-                "be followed with follow_outside (--follow-outside on the command line)"
-            )
-        return Path(path)
-
-    def _lies_inside(self, path: str) -> bool:
-        place, last = os.path.split(path)
-        if place not in self._places:
-            self._places[place] = os.path.realpath(place)
-        real = os.path.join(self._places[place], last)
-        if last in ("", ".", "..") or os.path.islink(real):
-            real = os.path.realpath(real)
-        return real == self._root or real.startswith(self._root.rstrip(os.sep) + os.sep)
 
 
 def read_lines(path: Path) -> list[str]:
@@ -156,11 +73,126 @@ def read_numbers(path: Path) -> FloatArray:
         raise DatasetError(f"{path}: cannot be read as numbers: {exc}") from exc
 
 
+def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:
+    """Sorts names by the numbers in them: ``frame2`` before ``frame10``."""
+    parts = _DIGITS.split(name)
+    return tuple(int(part) if k % 2 else part for k, part in enumerate(parts)), name
+
+
+def by_name(items: Iterable[Item], name: Callable[[Item], str]) -> list[Item]:
+    """Items in the natural order of their names, 2 before 10; in that of numbers where all names are decimals."""
+    ordered = sorted(items, key=lambda item: natural_key(name(item)))
+    stems = [Path(name(item)).stem for item in ordered]
+    try:
+        decimals = [number(stem) for stem in stems if "." in stem]
+    except ValueError:
+        return ordered
+    return [ordered[i] for i in np.argsort(decimals, kind="stable")] if len(decimals) == len(ordered) else ordered
+
+
+def image_files(folder: Path) -> list[Path]:
+    """Image files of a folder in the order of their names; hidden files are left out."""
+    paths = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+    images = by_name(paths, lambda path: path.name)
+    _refuse_twice([path.stem for path in images], images)
+    return images
+
+
+def _refuse_twice(keys: list[str] | list[int], paths: list[Path]) -> None:
+    """Refuse two files for one frame, such as a .jpg beside a .png."""
+    for key, count in Counter(keys).items():
+        if count > 1:
+            first, second = [path for path, other in zip(paths, keys, strict=True) if other == key][:2]
+            raise DatasetError(f"{second}: is one frame with {first.name}, expected one file per frame; remove one")
+
+
+def file_named(base: Path, name: str) -> Path:
+    """The file that a list of a data set names, also as Windows writes it."""
+    if "\0" in name:
+        raise DatasetError(f"{base}: {name[:80]!r} is not a file name")
+    path = base / name
+    return base / name.replace("\\", "/") if "\\" in name and not path.exists() else path
+
+
+def listed_images(
+    path: Path, parse: Callable[[str], tuple[float, Path]], expected: str, notes: list[Note]
+) -> tuple[list[Path], FloatArray]:
+    """Images and times of a list with one per line; damaged lines are left out and told."""
+    images: list[Path] = []
+    stamps: list[float] = []
+    faults: list[str] = []
+    for at, line in enumerate(read_lines(path), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            stamp, image = parse(line)
+        except DatasetError:
+            raise
+        except (ValueError, IndexError):
+            if images or faults or not is_header(line):
+                faults.append(f"{path}, line {at}: expected {expected}, got {line[:80]!r}")
+            continue
+        stamps.append(stamp)
+        images.append(image)
+    if not images:
+        raise DatasetError(faults[0] if faults else f"{path}: lists no image")
+    notes += [Note("left out, line cannot be read", fault) for fault in faults]
+    return images, np.array(stamps)
+
+
+def rows_of(images: list[Path], n_rows: int, path: Path, what: str) -> IntArray:
+    """Which line of a file is about which image: all in order, or the one whose number is the image's name."""
+    numbers = numbers_of(images)
+    in_order = numbers is None or bool((np.diff(numbers) == 1).all())
+    if in_order and n_rows == len(images):
+        return np.arange(n_rows)
+    if numbers is not None and numbers.max() < n_rows:
+        return numbers
+    raise DatasetError(f"{path}: holds {n_rows} {what} {len(images)} images")
+
+
+def numbers_of(images: list[Path]) -> IntArray | None:
+    """The images' names, if each is a number."""
+    stems = [image.stem for image in images]
+    numbered = all(stem.isascii() and stem.isdigit() and len(stem) < 10 for stem in stems)
+    return np.array([int(stem) for stem in stems], dtype=np.int64) if numbered else None
+
+
+def numbered_frames(folder: Path, pattern: re.Pattern[str]) -> list[tuple[int, Path]]:
+    """Numbers and paths of a folder's images, in order; the first group of the pattern is the number."""
+    frames = sorted((int(m[1]), path) for path in folder.iterdir() if (m := pattern.fullmatch(path.name)))
+    _refuse_twice([number for number, _ in frames], [path for _, path in frames])
+    return frames
+
+
+def recording_folders(parent: Path, prefix: str, notes: list[Note]) -> list[Path]:
+    """Folders of recordings, prefix and number, in the order of their numbers; `notes` takes up similar ones."""
+    paths = sorted(path for path in parent.glob(f"{prefix}*") if path.is_dir())
+    numbered = [path for path in paths if re.fullmatch(r"[0-9]{1,9}", path.name.removeprefix(prefix))]
+    notes += [Note("left out, not a recording", f"{p}: is not called {prefix}NN") for p in paths if p not in numbered]
+    numbers = [int(path.name.removeprefix(prefix)) for path in numbered]
+    _refuse_twice(numbers, numbered)
+    return [numbered[i] for i in np.argsort(numbers, kind="stable")]
+
+
+def joined_recordings(
+    recordings: list[list[tuple[int, Path]]], rate_hz: float
+) -> tuple[list[Path], FloatArray, IntArray]:
+    """Images, times and recording numbers of numbered frames; each recording begins 10 s after the one before."""
+    times: list[float] = []
+    for frames in recordings:
+        start = times[-1] + BETWEEN_RECORDINGS_S if times else 0.0
+        times += [start + i / rate_hz for i, _ in frames]
+    recording = np.repeat(np.arange(len(recordings)), np.array([len(frames) for frames in recordings], dtype=np.int64))
+    return [path for frames in recordings for _, path in frames], np.array(times), recording
+
+
 def frame_times(folder: Path, n_frames: int) -> FloatArray:
     """Times of frames whose layout has none, (n_frames,) seconds: ``times.txt`` in the folder, or even ones."""
     path = folder / "times.txt"
     if not path.is_file():
-        return even_times(folder, n_frames)
+        rate = folder / "frame-rate.txt"
+        return np.arange(n_frames) / (read_frame_rate(rate) if rate.is_file() else FRAME_RATE_HZ)
     times = read_numbers(path)
     if times.size != n_frames:
         raise DatasetError(f"{path}: holds {times.size} times for {n_frames} images")
@@ -173,12 +205,6 @@ def times_by_folder(folder: Path, images: list[Path]) -> tuple[FloatArray, IntAr
     recording = np.cumsum([False, *changes][: len(images)], dtype=np.int64)
     times = frame_times(folder, len(images))
     return times if (folder / "times.txt").is_file() else times + BETWEEN_RECORDINGS_S * recording, recording
-
-
-def even_times(folder: Path, n_frames: int) -> FloatArray:
-    """Times of frames that come with none, (n_frames,) seconds: ``frame-rate.txt`` (Hz) in the folder, else 30 Hz."""
-    path = folder / "frame-rate.txt"
-    return np.arange(n_frames) / (read_frame_rate(path) if path.is_file() else FRAME_RATE_HZ)
 
 
 def read_frame_rate(path: Path) -> float:

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
-from zlib import crc32
 
 import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, UInt8Array
-from conformodal.core.ranges import check_ranges
 from conformodal.geometry import PinholeCamera, PoseError, Trajectory
 
 from .decoding import read_image
@@ -29,48 +27,6 @@ class ImageChange(Protocol):
         """The image (h, w, 3), changed; `name` is that of its file."""
 
 
-@dataclass(frozen=True)
-class PixelNoise:
-    """Gaussian noise on every pixel and channel of the image as the camera delivers it (the paper, table 1).
-
-    Attributes
-    ----------
-    sigma
-        Standard deviation where pixels are in [0, 1].
-    seed
-        Of the noise; every frame has its own by its name.
-
-    Raises
-    ------
-    DatasetError
-        If `sigma` is negative or not finite.
-    """
-
-    sigma: float
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.sigma) and self.sigma >= 0):
-            raise DatasetError(f"noise needs a standard deviation of at least 0, got {self.sigma}")
-        check_ranges({"seed": self.seed}, DatasetError)
-
-    @property
-    def changes(self) -> bool:
-        """Whether images change."""
-        return self.sigma > 0
-
-    def apply(self, image: UInt8Array, name: str) -> UInt8Array:
-        """The noisy image (h, w, 3), cut off at black and white and rounded, as a camera would."""
-        if not self.changes:
-            return image
-        rng = np.random.default_rng([self.seed, crc32(name.encode())])
-        noisy = rng.standard_normal(image.shape, dtype=np.float32)
-        noisy *= 255 * self.sigma
-        noisy += image
-        np.rint(noisy, out=noisy)
-        return np.clip(noisy, 0, 255, out=noisy).astype(np.uint8)
-
-
 @dataclass(frozen=True, eq=False)
 class Recording:
     """Frames of one or more recordings by one camera.
@@ -80,7 +36,7 @@ class Recording:
     name
         For people.
     image_paths
-        One file a frame.
+        One file per frame.
     timestamps_s
         (n,) seconds, strictly increasing.
     recording
@@ -96,7 +52,7 @@ class Recording:
     known_poses
         Poses of the frames that have one, where not all have, with those frames' timestamps; else as `truth`.
     notes
-        What the reader found wrong: frames that it left out, frames without poses, a camera that is unlikely.
+        What is wrong or unusual: frames that were left out, frames without poses, a camera that is unlikely.
     """
 
     name: str
@@ -114,18 +70,17 @@ class Recording:
         n = len(self.image_paths)
         if n == 0:
             raise DatasetError(f"{self.name}: holds no frame")
-        if self.timestamps_s.shape != (n,) or self.recording.shape != (n,):
-            raise DatasetError(f"{self.name}: {n} images, but {len(self.timestamps_s)} timestamps")
-        if not np.isfinite(self.timestamps_s).all():
-            i = int(np.flatnonzero(~np.isfinite(self.timestamps_s))[0])
-            raise DatasetError(f"{self.name}: frame {i} ({self.image_paths[i]}) has time {self.timestamps_s[i]}")
-        if not (np.diff(self.timestamps_s) > 0).all():
-            i = int(np.flatnonzero(np.diff(self.timestamps_s) <= 0)[0]) + 1
-            raise DatasetError(f"{self.name}: timestamps must increase; frame {i} ({self.image_paths[i]}) goes back")
+        sizes = {"timestamps": self.timestamps_s, "recording numbers": self.recording, "given_test": self.given_test}
+        for what, array in sizes.items():
+            if array is not None and array.shape != (n,):
+                raise DatasetError(f"{self.name}: {n} images, but {what} of shape {array.shape}")
         if self.truth is not None and len(self.truth) != n:
             raise DatasetError(f"{self.name}: {n} images, but {len(self.truth)} poses")
-        if self.given_test is not None and self.given_test.shape != (n,):
-            raise DatasetError(f"{self.name}: {n} images, but given_test has shape {self.given_test.shape}")
+        wrong = np.flatnonzero(~np.isfinite(self.timestamps_s) | ~(np.diff(self.timestamps_s, prepend=-np.inf) > 0))
+        if wrong.size:
+            i = int(wrong[0])
+            where = f"frame {i} ({self.image_paths[i]}) has {self.timestamps_s[i]}"
+            raise DatasetError(f"{self.name}: timestamps must be finite and increase; {where}")
 
     def __len__(self) -> int:
         return len(self.image_paths)
@@ -158,12 +113,12 @@ class Recording:
         """
         if self.truth is not None or self.known_poses is None:
             return np.arange(0 if self.truth is None else len(self))
-        found = np.flatnonzero(np.isin(self.timestamps_s, self.known_poses.timestamps_s))
-        if len(found) != len(self.known_poses):
+        frames = np.flatnonzero(np.isin(self.timestamps_s, self.known_poses.timestamps_s))
+        if len(frames) != len(self.known_poses):
             raise DatasetError(
-                f"{self.name}: {len(self.known_poses)} known poses have the times of {len(found)} frames"
+                f"{self.name}: {len(self.known_poses)} known poses have the times of {len(frames)} frames"
             )
-        return found
+        return frames
 
     def require_truth(self) -> Trajectory:
         """The true poses.

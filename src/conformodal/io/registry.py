@@ -1,33 +1,44 @@
-"""All layouts that can be read, and which of them a folder is in."""
+"""All layouts that can be read, and which of them a folder is in.
+
+A layout is a function from a folder to a :class:`FrameTable`, and one that recognises its folders. A package adds its
+own by an entry point of the group ``conformodal.layouts`` that names a :class:`Reader`.
+"""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
-from contextlib import suppress
 from enum import StrEnum
+from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
-from conformodal.core.ranges import as_member
 from conformodal.core.words import counted
+from conformodal.geometry import PoseError
 from conformodal.io.layouts.colmap import model_folders, read_colmap
-from conformodal.io.layouts.euroc import read_euroc_mav
-from conformodal.io.layouts.images import POSE_FILES, read_image_folder
-from conformodal.io.layouts.kitti import CAMERAS, read_kitti_odometry
-from conformodal.io.layouts.nerf import FILE, read_nerf, transforms_file
+from conformodal.io.layouts.euroc import looks_like_euroc, read_euroc_mav
+from conformodal.io.layouts.images import looks_like_images, read_image_folder
+from conformodal.io.layouts.kitti import looks_like_kitti, read_kitti_odometry
+from conformodal.io.layouts.nerf import FILES, read_nerf, transforms_file
 from conformodal.io.layouts.rgbd_scenes import looks_like_scenes, read_rgbd_scenes
 from conformodal.io.layouts.sevenscenes import looks_like_scene, read_sevenscenes
 from conformodal.io.layouts.tum import read_tum_rgbd
 
+from .cameras import INTRINSICS
 from .convention import with_fitted_focal
 from .errors import DatasetError
+from .frame_table import FrameTable
+from .pose_text import TrajectoryFileError
 from .reading import SUFFIXES, image_files, readable, shown
 from .recording import Recording
 
+ENTRY_POINTS = "conformodal.layouts"
+_MADE = "; a recording becomes one by 'conformodal data convert {} --poses POSES --out FOLDER'"
+_LAST_RESORT = "images"  # some other layouts have images and intrinsics in one folder too
+
 
 class Layout(StrEnum):
-    """Names of the layouts."""
+    """Names of the layouts that come with the package."""
 
     AUTO = "auto"
     SEVENSCENES = "7scenes"
@@ -40,59 +51,86 @@ class Layout(StrEnum):
     IMAGES = "images"
 
 
-class _Reader(NamedTuple):
-    read: Callable[..., Recording]
-    sign: str  # what gives the layout away, for people
-    fits: Callable[[Path], bool]
+class Reader(NamedTuple):
+    """How a layout is read.
+
+    Attributes
+    ----------
+    read
+        From a folder to its frames; raises DatasetError, which names a file, for what is missing or damaged.
+    recognises
+        Whether a folder is in the layout; looks at names alone.
+    sign
+        What gives the layout away, for people.
+    """
+
+    read: Callable[[Path], FrameTable]
+    recognises: Callable[[Path], bool]
+    sign: str
 
 
-def _is_image_folder(folder: Path) -> bool:
-    """Images that no other layout claims: some of those have images and intrinsics in one folder too."""
-    claimed = any(reader.fits(folder) for layout, reader in _READERS.items() if layout is not Layout.IMAGES)
-    known = any((folder / name).is_file() for name in ("camera-intrinsics.txt", *POSE_FILES))
-    return not claimed and known and bool(image_files(folder))
-
-
-_READERS = {
-    Layout.SEVENSCENES: _Reader(
-        read_sevenscenes, "frame-NNNNNN.color.png or .jpg, in it or in folders seq-NN", looks_like_scene
+_BUILT_IN: dict[str, Reader] = {
+    Layout.SEVENSCENES: Reader(read_sevenscenes, looks_like_scene, "frame-NNNNNN.color.png, in it or in seq-NN"),
+    Layout.RGBD_SCENES: Reader(read_rgbd_scenes, looks_like_scenes, "imgs/scene_NN, or FFFFF-color.png"),
+    Layout.KITTI: Reader(read_kitti_odometry, looks_like_kitti, "image_0 to image_3, and calib.txt"),
+    Layout.TUM: Reader(read_tum_rgbd, lambda folder: (folder / "rgb.txt").is_file(), "rgb.txt"),
+    Layout.EUROC: Reader(read_euroc_mav, looks_like_euroc, "mav0/cam0"),
+    Layout.COLMAP: Reader(
+        read_colmap, lambda folder: bool(model_folders(folder)), "cameras.txt and images.txt, or the same in .bin"
     ),
-    Layout.RGBD_SCENES: _Reader(read_rgbd_scenes, "imgs/scene_NN, or FFFFF-color.png", looks_like_scenes),
-    Layout.KITTI: _Reader(
-        read_kitti_odometry,
-        "image_0 to image_3, and calib.txt",
-        lambda f: (f / "calib.txt").is_file() and any((f / name).is_dir() for name in CAMERAS),
-    ),
-    Layout.TUM: _Reader(read_tum_rgbd, "rgb.txt", lambda f: (f / "rgb.txt").is_file()),
-    Layout.EUROC: _Reader(
-        read_euroc_mav, "mav0/cam0", lambda f: any((place / "cam0" / "data.csv").is_file() for place in (f, f / "mav0"))
-    ),
-    Layout.COLMAP: _Reader(
-        read_colmap, "cameras.txt and images.txt, or the same in .bin", lambda f: bool(model_folders(f))
-    ),
-    Layout.NERF: _Reader(read_nerf, FILE, lambda f: transforms_file(f) is not None),
-    Layout.IMAGES: _Reader(read_image_folder, "images and camera-intrinsics.txt or poses", _is_image_folder),
+    Layout.NERF: Reader(read_nerf, lambda folder: transforms_file(folder) is not None, FILES[0]),
+    Layout.IMAGES: Reader(read_image_folder, looks_like_images, f"images and {INTRINSICS} or poses"),
 }
 
 
-_MADE = (
-    "; a recording becomes one by 'conformodal data convert {} --poses POSES --out FOLDER', where POSES is a TUM file "
-    "or a ROS recording's topic"
-)
-_WITHOUT_CAMERA, _TO_BE_FITTED = (Layout.IMAGES, Layout.TUM), 0.0
-_LISTED = (Layout.TUM, Layout.EUROC, Layout.COLMAP, Layout.NERF)  # these name their images in a file
-# Folders of images inside other layouts, which lack something else than a camera.
-_INSIDE_LAYOUTS = (*CAMERAS, "images", "rgb", "cam0", "data", "imgs")
+@cache
+def readers() -> dict[str, Reader]:
+    """All layouts by name: those of the package, and those that other packages add.
+
+    Raises
+    ------
+    DatasetError
+        If an entry point cannot be loaded or is not a Reader.
+    """
+    layouts = dict(_BUILT_IN)
+    for point in entry_points(group=ENTRY_POINTS):
+        try:
+            reader = point.load()
+        except Exception as exc:  # whatever another package does
+            raise DatasetError(f"entry point {ENTRY_POINTS}: {point.name} cannot be loaded: {exc}") from exc
+        if not isinstance(reader, Reader) or point.name in layouts:
+            raise DatasetError(f"entry point {ENTRY_POINTS}: {point.name} is not a Reader, or its name is taken")
+        layouts[point.name] = reader
+    return layouts
 
 
-def recognise(folder: Path) -> Layout:
-    """The layout that a folder is in.
+def recognise(folder: Path) -> str:
+    """The name of the layout that a folder is in.
 
     Raises
     ------
     DatasetError
         If the folder is missing, or in no layout or in several; says what was looked for.
     """
+    _check_folder(folder)
+    try:
+        names = [name for name, reader in readers().items() if reader.recognises(folder)]
+        if len(names) > 1 and _LAST_RESORT in names:
+            names.remove(_LAST_RESORT)
+        if not names and (folder / "metadata.yaml").is_file():
+            raise DatasetError(f"{folder}: looks like a ROS recording, expected a data set{_MADE.format(folder)}")
+        hint = "" if names else _hint(folder)
+    except OSError as exc:
+        raise DatasetError(shown(f"{folder}: cannot be read: {exc}")) from exc
+    if len(names) == 1:
+        return names[0]
+    if names:
+        raise DatasetError(f"{folder}: could be {' or '.join(names)}; name its format")
+    looked = "; ".join(f"{name}: {reader.sign}" for name, reader in readers().items())
+    raise DatasetError(f"{folder}: is in no layout that is known{hint}. Looked for {looked}")
+
+
+def _check_folder(folder: Path) -> None:
     if not readable(str(folder)):
         raise DatasetError(f"{shown(str(folder))}: its name is not UTF-8; rename it")
     try:
@@ -100,86 +138,80 @@ def recognise(folder: Path) -> Layout:
             raise DatasetError(f"{folder}: is a file, expected a data set's folder{_MADE.format(folder)}")
         if not folder.is_dir():
             raise DatasetError(f"{folder}: no such folder")
-        found = [layout for layout, reader in _READERS.items() if reader.fits(folder)]
-        if not found and (folder / "metadata.yaml").is_file():
-            raise DatasetError(f"{folder}: looks like a ROS recording, expected a data set{_MADE.format(folder)}")
     except OSError as exc:
         raise DatasetError(f"{folder}: cannot be read: {exc}") from exc
-    if len(found) == 1:
-        return found[0]
-    looked = "; ".join(f"{layout}: {reader.sign}" for layout, reader in _READERS.items())
-    if found:
-        raise DatasetError(f"{folder}: could be {' or '.join(found)}; name its format")
-    raise DatasetError(
-        f"{folder}: is in no layout that is known{_pictures_without_camera(folder)}. Looked for {looked}"
-    )
 
 
-def _pictures_without_camera(folder: Path) -> str:
-    """What a folder of pictures lacks, if it is one or has one in it."""
-    with suppress(OSError):
-        below = sorted(path for path in folder.iterdir() if path.is_dir())
-        if named := [shown(str(place)) for place in below if any(its.fits(place) for its in _READERS.values())]:
-            return f": name a folder in it, such as {', '.join(named[:3])}"
-        for place in (folder, *below):
-            if place.name not in _INSIDE_LAYOUTS and (pictures := image_files(place)):
-                where = f"{shown(str(place))} holds {counted(len(pictures), 'picture')}"
-                return f": {where}; put camera-intrinsics.txt beside them"
-        beside = [name for name in (*POSE_FILES, "camera-intrinsics.txt") if (folder / name).is_file()]
-        for place in below:
-            if beside and image_files(place):
-                return f": put {' and '.join(beside)} into {shown(str(place))}, which holds the images"
-        kinds = Counter(path.suffix for path in folder.iterdir() if path.is_file() and path.suffix)
-        if kinds:
-            kind, n = kinds.most_common(1)[0]
-            what = f"name a recording itself, or write images as {', '.join(SUFFIXES)}"
-            return f": it holds {counted(n, shown(kind) + ' file')}; {what}"
-    return ""
+def _hint(folder: Path) -> str:
+    """A data set in the folder, or images there that lack a camera."""
+    below = sorted(path for path in folder.iterdir() if path.is_dir())
+    named = [shown(str(path)) for path in below if any(reader.recognises(path) for reader in readers().values())]
+    if named:
+        return f": name a folder in it, such as {', '.join(named[:3])}"
+    for place in (folder, *below):
+        if pictures := image_files(place):
+            beside = f"put {INTRINSICS}, and poses if there are any, beside them"
+            return f": {shown(str(place))} holds {counted(len(pictures), 'image')}; {beside}"
+    return f": it holds no image ({', '.join(SUFFIXES)}), nor does a folder in it"
 
 
 def read_recording(
-    folder: Path | str,
-    layout: Layout | str = Layout.AUTO,
+    path: Path | str,
+    format: str = Layout.AUTO,
     *,
     require_poses: bool = True,
     follow_outside: bool = False,
     focal: float | str | None = None,
 ) -> Recording:
-    """Read a data set in a layout, or in the one it is found to be in, as in ``examples/images.py``.
+    """Read a data set, without decoding its images, as in ``examples/images.py``.
 
     Parameters
     ----------
-    folder
-        See the layout's own reader.
-    layout
-        ``auto`` recognises it.
+    path
+        Its folder.
+    format
+        Name of its layout, such as ``"tum"`` (see :func:`readers`); ``"auto"`` recognises it.
     require_poses
-        False also reads frames without poses.
+        True leaves out frames without a pose or a sound image. False keeps them; the recording has a truth only if
+        every frame has a pose.
     follow_outside
         Whether files of the data set may name images outside its folder, by ``..`` or absolute paths.
     focal
-        Focal length in pixels of ``images`` and ``tum`` without a camera; ``auto`` fits it to poses and images.
+        Focal length in pixels where nothing says the camera; ``"auto"`` fits it to poses and images.
 
     Raises
     ------
     DatasetError
         If the folder is not in the layout, or something in it is missing or damaged.
+
+    Examples
+    --------
+    ``read_recording("rgbd_dataset_freiburg1_desk")`` reads the images, poses and camera of a TUM sequence.
     """
-    place = Path(folder)
-    kind = as_member(layout, Layout, "layout", DatasetError)
-    kind = recognise(place) if kind is Layout.AUTO else kind
-    reader = _READERS[kind]
-    outside = {"follow_outside": follow_outside} if kind in _LISTED else {}
-    if focal is None:
-        return reader.read(place, require_poses=require_poses, **outside)
-    if kind not in _WITHOUT_CAMERA:
-        both = " and ".join(_WITHOUT_CAMERA)
-        raise DatasetError(f"{place}: {kind} has a camera, and a focal length is for {both}")
+    if not isinstance(format, str) or format not in (Layout.AUTO, *readers()):
+        raise DatasetError(f"format must be one of {', '.join((Layout.AUTO, *readers()))}, got {format!r}")
+    folder = Path(path)
+    _check_folder(folder)
+    name = recognise(folder) if format == Layout.AUTO else format
     try:
-        focal_px = _TO_BE_FITTED if focal == "auto" else float(focal)
+        table = readers()[name].read(folder.resolve())
+        recording = table.to_recording(
+            require_poses=require_poses or focal == "auto", follow_outside=follow_outside, focal=_focal_px(focal)
+        )
+    except TrajectoryFileError as exc:
+        raise DatasetError(str(exc)) from exc
+    except (OSError, UnicodeError, PoseError) as exc:
+        raise DatasetError(shown(f"{folder}: cannot be read: {exc}")) from exc
+    return with_fitted_focal(recording) if focal == "auto" else recording
+
+
+def _focal_px(focal: float | str | None) -> float | Literal["auto"] | None:
+    if focal is None or focal == "auto":
+        return None if focal is None else "auto"
+    try:
+        px = float(focal)
     except ValueError:
-        focal_px = -1.0
-    if focal != "auto" and not focal_px > 0:
+        px = -1.0
+    if not px > 0:
         raise DatasetError(f"focal must be a positive number of pixels or auto, got {focal!r}")
-    sequence = reader.read(place, require_poses=require_poses or focal == "auto", focal_px=focal_px, **outside)
-    return with_fitted_focal(sequence) if focal == "auto" else sequence
+    return px

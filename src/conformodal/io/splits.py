@@ -44,19 +44,12 @@ class Split:
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", as_member(self.kind, SplitKind, "split", SplitError))
 
-    def joined(self, other: Split, first: int) -> Split:
-        """Return this split with the parts of another one, whose frames are numbered from `first` on."""
-        train, calibration, test = (
-            np.append(getattr(self, name), first + getattr(other, name)) for name in ("train", "calibration", "test")
-        )
-        return replace(self, train=train, calibration=calibration, test=test)
-
     def part(self, name: str) -> IntArray:
         """Indices of ``"train"``, ``"calibration"`` or ``"test"``."""
-        if name not in ("train", "calibration", "test"):
+        parts = {"train": self.train, "calibration": self.calibration, "test": self.test}
+        if name not in parts:
             raise SplitError(f"part must be train, calibration or test, got {name!r}")
-        indices: IntArray = getattr(self, name)
-        return indices
+        return parts[name]
 
 
 def make_split(
@@ -81,12 +74,12 @@ def make_split(
     seed
         Of the random choice of frames, blocks or recordings.
     test, calibration
-        Shares of all frames. For ``recordings`` they are shares of the recordings, and every part gets at least one.
-        For ``given`` the lists say which frames test, and the others stand for the share ``1 - test``, however many
-        they are: whole recordings of them calibrate if they have two or more, otherwise stretches do.
+        Shares of all frames; for ``recordings``, of the recordings, and every part gets at least one. For ``given``,
+        the frames that the lists do not name stand for the share ``1 - test``: whole recordings of them calibrate if
+        there are two or more, otherwise stretches do.
     used
-        Share for training and calibration together; all but the test part by default. The test part is the same
-        whatever it is. Where recordings are too few to leave some out, a stretch of each is taken.
+        Share for training and calibration together; all but the test part by default, which is the same whatever it
+        is. Where recordings are too few to leave some out, a stretch of each is taken.
     n_blocks
         Number of stretches that ``blocks`` cuts the sequence into, and ``given`` a lone training recording.
     given_test
@@ -147,14 +140,14 @@ def frames_to_known(split: Split, recording: IntArray) -> FloatArray:
 
     Infinite where a recording is held out whole. `recording` (n,) is the recording that each frame belongs to.
     """
-    known = np.sort(np.concatenate((split.train, split.calibration)))
+    shown = np.sort(np.concatenate((split.train, split.calibration)))
     distances = np.full(len(split.test), np.inf)
     for rows in rows_by_label(recording[split.test]):
         tested = split.test[rows]
-        own = known[recording[known] == recording[tested[0]]]
-        if own.size:
-            after = np.searchsorted(own, tested)
-            left, right = own[np.maximum(after - 1, 0)], own[np.minimum(after, own.size - 1)]
+        frames = shown[recording[shown] == recording[tested[0]]]
+        if frames.size:
+            after = np.searchsorted(frames, tested)
+            left, right = frames[np.maximum(after - 1, 0)], frames[np.minimum(after, frames.size - 1)]
             distances[rows] = np.minimum(np.abs(tested - left), np.abs(tested - right))
     return distances
 
@@ -213,8 +206,8 @@ def _pieces(
             "TestSplit.txt beside the folders seq-NN of a 7-Scenes scene"
         )
     if given_test.shape != recording.shape or given_test.dtype != np.bool_:
-        found = f"{given_test.dtype} of shape {given_test.shape}"
-        raise SplitError(f"given_test must hold one bool for each of {len(recording)} frames, got {found}")
+        got = f"{given_test.dtype} of shape {given_test.shape}"
+        raise SplitError(f"given_test must hold one bool for each of {len(recording)} frames, got {got}")
     free, listed = frames[~given_test], frames[given_test]
     whole = _recordings(free, recording)
     return whole if len(whole) > 1 else _stretches(free, recording, n_blocks), _recordings(listed, recording)

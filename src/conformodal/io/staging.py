@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
+import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
-
-from conformodal.core.files import FolderInUseError, locked
 
 from .errors import DatasetError
 
 
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
-    """Write into a temporary folder beside a new one, and move it into its place at the end."""
+    """Write into a temporary folder beside a new or empty one, and move it into its place at the end."""
     try:
         folder = folder.resolve()
         if folder.exists() and not folder.is_dir():
@@ -22,21 +20,10 @@ def staged(folder: Path) -> Iterator[Path]:
         if folder.exists() and any(folder.iterdir()):
             raise DatasetError(f"{folder}: is not empty")
         folder.parent.mkdir(parents=True, exist_ok=True)
-        part = folder.with_name(f".{folder.name}.part")
-        with ExitStack() as held:
-            try:
-                held.enter_context(locked(folder.with_name(f".{folder.name}.lock")))
-            except FolderInUseError as exc:
-                raise DatasetError(f"{folder}: is being written by another process or thread") from exc
-            shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as scratch:
+            part = Path(scratch) / folder.name
             part.mkdir()
-            try:
-                yield part
-                if folder.exists():
-                    folder.rmdir()
-                part.replace(folder)
-            except BaseException:
-                shutil.rmtree(part, ignore_errors=True)
-                raise
+            yield part
+            part.replace(folder)  # which fails if another process has filled it
     except OSError as exc:
         raise DatasetError(f"{folder}: cannot be written: {exc}") from exc

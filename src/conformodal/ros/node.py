@@ -18,7 +18,7 @@ from typing import Any
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import MissingPackageError
 from conformodal.core.ranges import as_member
-from conformodal.io.lenses import Fisheye
+from conformodal.geometry.lens import Fisheye
 from conformodal.io.streams.frames import SourceError
 from conformodal.io.streams.ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of, key_of_info
 from conformodal.pipeline.errors import OdometryError

@@ -13,14 +13,13 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray
 from conformodal.geometry import matrix_from_quat_wxyz, rigid_motions
-from conformodal.io.cameras import UNDISTORT, Size, camera_of
-from conformodal.io.decoding import common_size, natural_key
+from conformodal.geometry.lens import AnyCamera
+from conformodal.io.cameras import UNDISTORT, Size, camera_of, fisheye_of
+from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import DOUBTFUL, Damaged, FrameTable
-from conformodal.io.lenses import AnyCamera, as_stored, fisheye_of
 from conformodal.io.pose_text import length_doubt, pose_faults, table_of
-from conformodal.io.reading import Note, PathGuard, by_name, image_files, reader, times_by_folder
-from conformodal.io.recording import Recording
+from conformodal.io.reading import Note, by_name, file_named, image_files, natural_key, times_by_folder
 
 from .colmap_files import ColmapCamera, ColmapModel, model_suffixes, read_model
 
@@ -44,24 +43,16 @@ def model_folders(folder: Path) -> list[Path]:
     return [place for place in (folder, folder / "sparse", *parts, folder / "text") if model_suffixes(place)]
 
 
-@reader
-def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outside: bool = False) -> Recording:
-    """Read the images of a model, in the natural order of their names, without decoding them.
+def read_colmap(folder: Path) -> FrameTable:
+    """Read the images of a model, in the natural order of their names.
 
-    Parameters
-    ----------
-    folder
-        With ``images`` (or the images themselves) and the model in it, in ``sparse``, ``sparse/0`` or ``text``; or the
-        model's own folder, with ``images`` above it. Of several models the one of most images is read. Images in
-        ``images`` that the model does not name are frames without a pose; folders in it are recordings. Times are
-        those of ``times.txt`` (seconds, one per line), or else even (``frame-rate.txt`` in Hz, or 30). The scale is the
-        model's own. Images of fisheye lenses and of other cameras than most have are brought to that, once.
-    require_poses
-        True leaves out images that are missing, or have no pose or one that is not a rigid motion. False keeps them.
-    follow_outside
-        Whether the model may name images outside the folder.
+    The folder has ``images`` (or the images themselves) and the model in it, in ``sparse``, ``sparse/0`` or ``text``;
+    or it is the model's own, with ``images`` above it. Of several models the one of most images is read. Images in
+    ``images`` that the model does not name are frames without a pose; folders in it are recordings. Times are those of
+    ``times.txt`` (seconds, one per line), or else even (``frame-rate.txt`` in Hz, or 30). The scale is the model's own.
+    Images of fisheye lenses and of other cameras than most have are brought to that, once.
     """
-    folder, notes = Path(folder).resolve(), list[Note]()
+    notes: list[Note] = []
     models = [read_model(place) for place in model_folders(folder)]
     if not models:
         raise DatasetError(f"{folder}: holds no COLMAP model; expected cameras.txt and images.txt, or the same in .bin")
@@ -70,22 +61,32 @@ def read_colmap(folder: Path | str, *, require_poses: bool = True, follow_outsid
         where = f"{model.path.parent} ({len(model.images)} images) is read, not {', '.join(others)}"
         notes.append(Note("other models are not read", where))
     base = _image_folder(folder, model)
-    image_path = PathGuard(folder if base.is_relative_to(folder) else base, model.path, follow_outside=follow_outside)
-    paths = {name: image_path(base, name) for name in model.images}
+    paths = {name: file_named(base, name) for name in model.images}
     unnamed = [] if base == folder else _unnamed(base, list(paths.values()))
-    paths |= {name: image_path(base, name) for name in unnamed}
-    names = by_name(paths, str, notes)
+    paths |= {name: file_named(base, name) for name in unnamed}
+    names = by_name(paths, str)
     usual = Counter(image.camera for image in model.images.values()).most_common(1)[0][0]
     cameras = [model.images[name].camera if name in model.images else usual for name in names]
-    images = as_stored([paths[name] for name in names], [c.size[0] > c.size[1] for c in cameras], "COLMAP", notes)
+    images = [paths[name] for name in names]
     lenses: dict[ColmapCamera, AnyCamera] = {}
     for camera in dict.fromkeys(cameras):
         size = common_size([image for image, of in zip(images, cameras, strict=True) if of == camera])
         lenses[camera] = _lens(camera, size, notes)
     poses, why = _poses(model, names, notes)
-    times, recording = times_by_folder(folder, [paths[name] for name in names])
-    table = FrameTable(folder.name, images, times, recording, poses, why, notes)
-    return table.sequence([lenses[camera] for camera in cameras], require_poses=require_poses)
+    times, recording = times_by_folder(folder, images)
+    return FrameTable(
+        folder.name,
+        images,
+        times,
+        [lenses[camera] for camera in cameras],
+        poses,
+        recording,
+        why=why,
+        notes=notes,
+        root=folder if base.is_relative_to(folder) else base,
+        source=model.path,
+        as_stored=True,
+    )
 
 
 def _image_folder(folder: Path, model: ColmapModel) -> Path:

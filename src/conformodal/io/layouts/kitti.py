@@ -10,59 +10,60 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.geometry import Trajectory
+from conformodal.core.arrays import FloatArray
 from conformodal.io.cameras import camera_of, check_matrix
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
-from conformodal.io.frame_table import Damaged, FrameTable, numbers_of, rows_of
-from conformodal.io.pose_files import kitti_table
-from conformodal.io.pose_text import number, table_of
-from conformodal.io.reading import Note, image_files, read_lines, read_numbers, reader
-from conformodal.io.recording import Recording
+from conformodal.io.frame_table import Damaged, FrameTable
+from conformodal.io.pose_files import KITTI_RATE_HZ, kitti_table
+from conformodal.io.pose_text import matrices_of, number, table_of
+from conformodal.io.reading import Note, image_files, numbers_of, read_lines, read_numbers, rows_of
 
-FRAME_RATE_HZ = 10.0
 CAMERAS = ("image_2", "image_0", "image_3", "image_1")  # colour where it is there; the left one first
 
 
-@reader
-def read_kitti_odometry(folder: Path | str, *, require_poses: bool = True) -> Recording:
-    """Read a sequence, without decoding images.
+def looks_like_kitti(folder: Path) -> bool:
+    """Whether a folder holds ``calib.txt`` and images of a camera."""
+    return (folder / "calib.txt").is_file() and any((folder / name).is_dir() for name in CAMERAS)
 
-    Parameters
-    ----------
-    folder
-        ``.../sequences/NN``, with one of ``CAMERAS``, ``calib.txt`` and perhaps ``times.txt``. Poses are
-        looked for in ``.../poses/NN.txt`` and in ``NN.txt``, ``poses.txt`` in the folder itself. Images whose names
-        are numbers may be fewer than poses and times: an image's number is then its line, counted from 0.
-    require_poses
-        False also reads a sequence without poses.
+
+def read_kitti_odometry(folder: Path) -> FrameTable:
+    """Read ``.../sequences/NN``, with one of ``CAMERAS``, ``calib.txt`` and perhaps ``times.txt``.
+
+    Poses are those of ``.../poses/NN.txt``, or of ``NN.txt`` or ``poses.txt`` in the folder itself. Images whose names
+    are numbers may be fewer than poses and times: an image's number is then its line, counted from 0.
     """
-    folder = Path(folder).resolve()
-    camera = next((name for name in CAMERAS if (folder / name).is_dir()), None)
-    if camera is None:
+    place = next((folder / name for name in CAMERAS if (folder / name).is_dir()), None)
+    if place is None:
         raise DatasetError(f"{folder}: holds none of {', '.join(CAMERAS)}; expected a KITTI odometry sequence")
     notes: list[Note] = []
-    images = image_files(folder / camera, notes)
+    images = image_files(place)
     if not images:
-        raise DatasetError(f"{folder / camera}: holds no image")
-    calibration, name = folder / "calib.txt", f"P{camera[-1]}"
+        raise DatasetError(f"{place}: holds no image")
+    calibration, name = folder / "calib.txt", f"P{place.name[-1]}"
     projection = _projection(calibration, name)
     pixels = projection[[0, 1, 0, 1], [0, 1, 2, 2]]
-    intrinsics = camera_of(f"{calibration}: {name}", pixels, common_size(images), notes=notes)
-    path = folder / "times.txt"
-    times: FloatArray | None = None
-    if path.is_file():
-        stamps = read_numbers(path)
-        times = stamps[rows_of(images, len(stamps), path, "times for")]
-    # P = K [I | offset]: where camera 0's centre lies for this one
-    offset = np.asarray(np.linalg.solve(projection[:, :3], projection[:, 3]), dtype=np.float64)
-    damaged: Damaged = {}
-    frames, poses = _poses(folder, images, offset, require_poses, damaged)
-    if times is None:
-        times = frames / FRAME_RATE_HZ
-    table = FrameTable(f"kitti {folder.name}", images, times, poses=poses, why=damaged, notes=notes)
-    return table.sequence(intrinsics, require_poses=require_poses)
+    camera = camera_of(f"{calibration}: {name}", pixels, common_size(images), notes=notes)
+    files = [folder.parent.parent / "poses" / f"{folder.name}.txt", folder / f"{folder.name}.txt", folder / "poses.txt"]
+    path = next((file for file in files if file.is_file()), None)
+    why: Damaged = {}
+    if path is None:
+        poses, numbers = None, numbers_of(images)
+        frames = np.arange(len(images)) if numbers is None else numbers
+    else:
+        faults: Damaged = {}
+        rows = kitti_table(path, faults)
+        frames = rows_of(images, len(rows), path, "poses, but there are")
+        why |= {i: faults[row] for i, row in enumerate(frames.tolist()) if row in faults}
+        grey = matrices_of(rows[frames])
+        # P = K [I | offset]: where camera 0's centre lies for this one
+        grey[:, :3, 3] -= grey[:, :3, :3] @ np.linalg.solve(projection[:, :3], projection[:, 3])
+        poses = table_of(grey)
+    times = frames / KITTI_RATE_HZ
+    if (stamped := folder / "times.txt").is_file():
+        stamps = read_numbers(stamped)
+        times = stamps[rows_of(images, len(stamps), stamped, "times for")]
+    return FrameTable(f"kitti {folder.name}", images, times, camera, poses, why=why, notes=notes, source=files[0])
 
 
 def _projection(path: Path, name: str) -> FloatArray:
@@ -80,30 +81,3 @@ def _projection(path: Path, name: str) -> FloatArray:
                 raise DatasetError(f"{path}: {name} needs positive focal lengths, got {line[:80]!r}")
             return projection
     raise DatasetError(f"{path}: has no line {name}:")
-
-
-def _poses(
-    folder: Path, images: list[Path], offset: FloatArray, required: bool, damaged: Damaged
-) -> tuple[IntArray, FloatArray | None]:
-    """Numbers of the images, and their poses."""
-    places = [
-        folder.parent.parent / "poses" / f"{folder.name}.txt",
-        folder / f"{folder.name}.txt",
-        folder / "poses.txt",
-    ]
-    path = next((p for p in places if p.is_file()), None)
-    if path is None:
-        if required:
-            raise DatasetError(f"{places[0]}: poses are missing")
-        numbers = numbers_of(images)
-        return np.arange(len(images)) if numbers is None else numbers, None
-    faults: Damaged = {}
-    rows = kitti_table(path, faults)
-    numbers = rows_of(images, len(rows), path, "poses, but there are")
-    damaged.update({i: faults[row] for i, row in enumerate(numbers.tolist()) if row in faults})
-    found = rows[numbers]
-    known = np.isfinite(found).all(axis=1)
-    grey = Trajectory(np.zeros(int(known.sum())), found[known, :3], found[known, 3:]).poses_se3
-    grey[:, :3, 3] -= grey[:, :3, :3] @ offset
-    found[known] = table_of(grey)
-    return numbers, found

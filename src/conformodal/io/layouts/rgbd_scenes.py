@@ -1,6 +1,6 @@
 """RGB-D Scenes v2 (Lai, Bo and Fox 2014), the paper's data set: ``imgs/scene_NN`` and ``pc/NN.pose``.
 
-A line of a pose file is ``qw qx qy qz x y z``, camera to world, one a frame.
+A line of a pose file is ``qw qx qy qz x y z``, camera to world, one per frame.
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ from conformodal.geometry import PinholeCamera
 from conformodal.io.cameras import camera_beside
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
-from conformodal.io.frame_table import Damaged, FrameTable, joined, numbered_frames, recording_folders
-from conformodal.io.pose_text import drop_faults, number, pose_faults, read_rows
-from conformodal.io.reading import FRAME_RATE_HZ, Note, reader
-from conformodal.io.recording import Recording
+from conformodal.io.frame_table import Damaged, FrameTable
+from conformodal.io.pose_text import drop_faults, length_doubt, numbers_in, pose_faults, read_rows
+from conformodal.io.reading import FRAME_RATE_HZ, Note, joined_recordings, numbered_frames, recording_folders
 
 CAMERA = PinholeCamera(570.3, 570.3, 320.0, 240.0, 640, 480)
-_IMAGE = re.compile(r"([0-9]{1,9})-color\.(png)", re.IGNORECASE)
-_SCENE = re.compile(r"scene_[0-9]{1,9}")
+_IMAGE = re.compile(r"([0-9]{1,9})-color\.png", re.IGNORECASE)
+_PREFIX = "scene_"
 
 
 def looks_like_scenes(folder: Path) -> bool:
@@ -30,55 +29,40 @@ def looks_like_scenes(folder: Path) -> bool:
     return (folder / "imgs").is_dir() or any(_IMAGE.fullmatch(path.name) for path in folder.iterdir())
 
 
-@reader
-def read_rgbd_scenes(folder: Path | str, *, require_poses: bool = True) -> Recording:
-    """Read a scene, or all scenes, without decoding images.
-
-    Parameters
-    ----------
-    folder
-        ``.../imgs/scene_NN``, or the folder that holds ``imgs`` and ``pc``; every scene is a recording.
-    require_poses
-        True leaves out frames without a pose, and scenes without a pose file. False keeps them; the sequence has a
-        truth only if every frame has a pose.
-    """
-    folder = Path(folder).resolve()
+def read_rgbd_scenes(folder: Path) -> FrameTable:
+    """Read ``.../imgs/scene_NN``, or the folder that holds ``imgs`` and ``pc``; every scene is a recording."""
     notes: list[Note] = []
-    scenes = (
-        [folder] if _SCENE.fullmatch(folder.name) else recording_folders(folder / "imgs", _SCENE, "scene_NN", notes)
-    )
+    one = folder.name.startswith(_PREFIX)
+    scenes = [folder] if one else recording_folders(folder / "imgs", _PREFIX, notes)
     if not scenes:
         raise DatasetError(f"{folder}: holds no imgs/scene_NN; expected RGB-D Scenes v2")
-    recordings = [numbered_frames(scene, _IMAGE, 5, notes) for scene in scenes]
-    images, times, recording = joined(recordings, FRAME_RATE_HZ)
-    poses: list[FloatArray] = []
+    recordings = [numbered_frames(scene, _IMAGE) for scene in scenes]
+    images, times, recording = joined_recordings(recordings, FRAME_RATE_HZ)
+    poses = np.full((len(images), 7), np.nan)
     why: Damaged = {}
-    first = missing = 0
-    for scene, frames in zip(scenes, recordings, strict=True):
+    files = [scene.parent.parent / "pc" / f"{scene.name.removeprefix(_PREFIX)}.pose" for scene in scenes]
+    first = 0
+    for scene, frames, path in zip(scenes, recordings, files, strict=True):
         if not frames:
             raise DatasetError(f"{scene}: holds no FFFFF-color.png")
-        path = scene.parent.parent / "pc" / f"{scene.name.removeprefix('scene_')}.pose"
+        of_scene = range(first, first + len(frames))
         if path.is_file():
-            poses.append(_poses(path, [number for number, _ in frames], why, first))
+            poses[of_scene] = _poses(path, [number for number, _ in frames], why, first, notes)
         else:
-            missing += 1
-            poses.append(np.full((len(frames), 7), np.nan))
-            why |= {first + i: f"{path}: poses are missing" for i in range(len(frames))}
+            why |= dict.fromkeys(of_scene, f"{path}: poses are missing")
         first += len(frames)
-    if missing == len(scenes) and require_poses:
-        raise DatasetError(why[0])
-    name = folder.name if scenes == [folder] else f"{folder.name} ({len(scenes)} scenes)"
-    known = np.concatenate(poses) if missing < len(scenes) else None
-    table = FrameTable(name, images, times, recording, known, why, notes)
-    return table.sequence(camera_beside(folder, common_size(images), CAMERA, notes), require_poses=require_poses)
+    name = folder.name if one else f"{folder.name} ({len(scenes)} scenes)"
+    camera = camera_beside(folder, common_size(images), CAMERA, notes)
+    posed = poses if any(path.is_file() for path in files) else None
+    return FrameTable(name, images, times, camera, posed, recording, why=why, notes=notes, source=files[0])
 
 
-def _poses(path: Path, frames: list[int], why: Damaged, first: int) -> FloatArray:
+def _poses(path: Path, frames: list[int], why: Damaged, first: int, notes: list[Note]) -> FloatArray:
     """Rows ``x y z qw qx qy qz`` (n, 7) of the frames, the first of which is `first` of all; its number is its line."""
     faults: Damaged = {}
-    rows = read_rows(
-        path, lambda line: [number(x) for x in line.split()], 7, "'qw qx qy qz x y z'", faults, by_line=True
-    )
+    rows = read_rows(path, numbers_in, 7, "'qw qx qy qz x y z'", faults, by_line=True)
+    if doubt := length_doubt(path, rows, 0):
+        notes.append(Note("poses are doubtful", doubt))
     rows = rows[:, [4, 5, 6, 0, 1, 2, 3]]
     drop_faults(rows, pose_faults(rows[:, :3], rows[:, 3:]), path, faults)
     if frames[-1] >= len(rows):

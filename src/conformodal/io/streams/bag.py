@@ -14,8 +14,8 @@ import numpy as np
 from conformodal.core.arrays import FloatArray
 from conformodal.core.extras import require_extra
 from conformodal.geometry import PinholeCamera
+from conformodal.geometry.lens import AnyCamera, Fisheye, view_as
 from conformodal.io.cameras import Size
-from conformodal.io.lenses import AnyCamera, Fisheye, seen_by
 from conformodal.io.reading import Note
 
 from .frames import Frame, SourceError, check_size
@@ -159,7 +159,7 @@ class BagStream:
                         size = image.shape[1], image.shape[0]
                         lens, info = camera_of_info(info, str(self.info_topic), self.topic, size), None
                     if self.camera is not None and lens is not None:
-                        image = seen_by(image, lens, self.camera)
+                        image = view_as(image, lens, self.camera)
                 except ValueError as exc:
                     image, problem = None, f"{place}: {exc}"
             else:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from conformodal.core.ranges import as_member
 from conformodal.geometry import PinholeCamera
 from conformodal.io.registry import Layout, read_recording
 
@@ -21,7 +20,7 @@ _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]*:/{1,2}[^/]", re.IGNORECASE)  # a Path 
 
 def open_stream(
     source: Path | str,
-    layout: Layout | str = Layout.AUTO,
+    layout: str = Layout.AUTO,
     *,
     camera: PinholeCamera | None = None,
     topic: str | None = None,
@@ -49,7 +48,7 @@ def open_stream(
     DatasetError
         If it cannot be opened, or there is no such layout.
     """
-    layout, path = as_member(layout, Layout, "layout", SourceError), Path(source)
+    path = Path(source)
     if match := _CAMERA.match(str(source)):
         return CameraStream(int(match[1]), camera)
     if _ADDRESS.match(str(source)) and not path.exists():
@@ -59,8 +58,8 @@ def open_stream(
         )
     if path.is_file() and path.suffix.lower() in _PACKED:
         raise SourceError(f"{path}: is packed ({path.suffix}); unpack it first")
-    if layout is Layout.AUTO and is_bag(path):
+    if layout == Layout.AUTO and is_bag(path):
         return open_bag(path, topic, camera)
-    if layout is Layout.AUTO and path.is_file():
+    if layout == Layout.AUTO and path.is_file():
         return open_video(path, camera)
     return RecordingStream(read_recording(path, layout, require_poses=False, follow_outside=follow_outside))

@@ -11,10 +11,10 @@ import numpy as np
 
 from conformodal.core.arrays import AnyArray, UInt8Array
 from conformodal.core.extras import require_extra
-from conformodal.io.cameras import UNDISTORT, Size, camera_of, check_matrix
+from conformodal.geometry.lens import AnyCamera
+from conformodal.io.cameras import UNDISTORT, Size, camera_of, check_matrix, fisheye_of
 from conformodal.io.decoding import decode, to_eight_bits, white_in, white_level
 from conformodal.io.errors import DatasetError
-from conformodal.io.lenses import AnyCamera, fisheye_of
 from conformodal.io.reading import Note
 
 from .frames import SourceError

@@ -1,16 +1,16 @@
-"""Images of every kind become the right pixels or are refused, and every frame keeps its own pose."""
+"""Images of every kind become the right pixels or are refused."""
 
 import io
-import re
 import warnings
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
-from conformodal.io import DatasetWarning, ImageError, Layout, read_image, read_recording
-from conformodal.io.decoding import decode, image_fault, image_size, natural_key
-from tests.io.test_layouts import SIZE, WRITERS, N, matrices, picture
+from conformodal.io import DatasetWarning, ImageError, read_image, read_recording
+from conformodal.io.decoding import decode, image_fault
+from tests.io.test_layouts import SIZE
 
 RAMP = (np.arange(64 * 48, dtype=np.int64).reshape(48, 64) * 65535 // (64 * 48 - 1)).astype(np.uint16)
 GREY = ((RAMP.astype(np.int64) * 255 + 32767) // 65535).astype(np.uint8)
@@ -107,8 +107,8 @@ WRONG = {
     "png without its last byte of pixels": (WHOLE[:-40], "cannot be decoded"),
     "half a jpeg": (JPEG[: len(JPEG) // 2], "cannot be decoded"),
     "other size": (saved(Image.new("RGB", (48, 64)), ".png"), "48x64 pixels, the camera's are 64x48"),
-    "float tiff": (saved(Image.fromarray(GREY / np.float32(255)), ".tif"), "floating point"),
-    "32-bit tiff": (saved(Image.fromarray(RAMP.astype(np.int32)), ".tif"), "32-bit"),
+    "float tiff": (saved(Image.fromarray(GREY / np.float32(255)), ".tif"), "mode F"),
+    "32-bit tiff": (saved(Image.fromarray(RAMP.astype(np.int32)), ".tif"), "mode I"),
     "animated png": (animated(".png"), "holds 2 pictures"),
     "tiff of two pages": (animated(".tif"), "holds 2 pictures"),
     "postscript": (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 64 48\nshowpage\n", "cannot be decoded"),
@@ -152,6 +152,9 @@ def test_images_are_turned_as_their_exif_says_and_it_is_told(tmp_path, orientati
     np.testing.assert_array_equal(image, expected)
     assert image_fault(tmp_path / f"0{suffix}", (width, height)) == ""
     (tmp_path / "camera-intrinsics.txt").write_text(f"40 0 {width / 2}\n0 40 {height / 2}\n0 0 1\n")
+    if suffix == ".tif":  # which Pillow turns itself
+        assert read_recording(tmp_path, require_poses=False).camera.height == height
+        return
     with pytest.warns(DatasetWarning, match="as its EXIF orientation says"):
         sequence = read_recording(tmp_path, require_poses=False)
     assert sequence.image(0).shape == expected.shape
@@ -171,132 +174,10 @@ def test_images_of_16_bits_are_scaled_by_the_bits_that_the_data_set_uses(tmp_pat
         np.testing.assert_allclose(sequence.image(i)[..., 0], RAMP * (255 / 65535 * share), atol=1.1)
 
 
-@pytest.mark.parametrize(
-    "names",
-    [
-        ("frame2.png", "frame10.png"),
-        ("2.png", "10.png"),
-        ("a2b10.png", "a10b2.png"),
-        ("f-009.jpg", "f-0010.jpg"),
-        ("s1/f9.png", "s1/f10.png", "s2/f1.png", "s10/f1.png"),
-        ("f9999999999999999999.png", "f10000000000000000000.png"),
-        ("f1.png", "f01.png") if natural_key("f1.png") < natural_key("f01.png") else ("f01.png", "f1.png"),
-    ],
-)
-def test_names_are_in_the_order_of_their_numbers(names):
-    backwards = list(names)[::-1]
-    assert sorted(backwards, key=natural_key) == list(names)
-
-
-BY_NAME = (Layout.IMAGES, Layout.KITTI, Layout.NERF, Layout.COLMAP, Layout.SEVENSCENES, Layout.RGBD_SCENES)
-
-
-def values(sequence):
-    """The red of every frame, which is ten times its number."""
-    return [int(sequence.image(i)[0, 0, 0]) for i in range(len(sequence))]
-
-
-@pytest.mark.parametrize("layout", BY_NAME)
-def test_suffixes_may_be_in_capitals(tmp_path, layout):
-    folder = WRITERS[layout](tmp_path)
-    for path in [*tmp_path.rglob("images.txt"), *tmp_path.rglob("transforms.json")]:
-        path.write_text(re.sub(r"(\d{4})(\.png|(?=\"))", r"\1.PNG", path.read_text()))
-    for path in list(tmp_path.rglob("*.png")):
-        path.rename(path.with_suffix(".PNG"))
-    sequence = read_recording(folder)
-    np.testing.assert_allclose(sequence.require_truth().poses_se3, matrices(), atol=1e-9)
-    assert values(sequence) == [10 * i for i in range(N)]
-
-
-def test_recordings_and_scenes_are_in_the_order_of_their_numbers(tmp_path):
-    for number in (1, 2, 10):
-        picture(tmp_path / f"seq-{number}" / "frame-000000.color.png", number)
-        np.savetxt(tmp_path / f"seq-{number}" / "frame-000000.pose.txt", np.eye(4))
-    (tmp_path / "camera-intrinsics.txt").write_text("40 0 32\n0 40 24\n0 0 1\n")
-    assert [p.parent.name for p in read_recording(tmp_path).image_paths] == ["seq-1", "seq-2", "seq-10"]
-
-
-def other_points(make):
-    """Lines of points replaced, by one line or by none."""
-
-    def change(text):
-        images = [[x] if x.startswith("#") or x.endswith(".png") else make(x) for x in text.splitlines()]
-        return "\n".join(line for lines in images for line in lines)
-
-    return change
-
-
-without_points = other_points(lambda line: [])
-POINTS = {
-    "no lines": without_points,
-    "empty lines": other_points(lambda line: [""]),
-    "many": other_points(lambda line: ["10 11 -1 " * 40 + "10 11 -1"]),
-    "CRLF": lambda text: text.replace("\n", "\r\n"),
-}
-
-
-@pytest.mark.parametrize("what", POINTS)
-def test_colmap_images_with_and_without_points_are_all_read(tmp_path, what):
-    WRITERS[Layout.COLMAP](tmp_path)
-    path = next(tmp_path.rglob("images.txt"))
-    for end in ("", "\n"):
-        path.write_bytes((POINTS[what](path.read_text()).rstrip("\n") + end).encode())
-        np.testing.assert_allclose(read_recording(tmp_path).require_truth().poses_se3, matrices(), atol=1e-9)
-
-
-STRANGERS = {
-    "old-frame-000003.color.png": 0,
-    "frame-000003.color.png~": 0,
-    "frame-000003.color (1).png": 0,
-    "._frame-000003.color.png": 0,
-    "frame-000003.colour.png": 0,
-    "frame--00003.color.png": 0,
-    "frame-\u0663.color.png": 0,
-    "frame-000003.color.jpg": 1,
-    "frame-000003.color.JPEG": 1,
-    "frame-3.color.png": 1,
-    "frame-0000003.color.png": 1,
-    "frame-99999999999999999999.color.png": 0,
-}
-
-
-@pytest.mark.parametrize("name", STRANGERS)
-def test_files_that_look_like_a_7_scenes_frame_do_not_replace_it(tmp_path, name):
-    folder = WRITERS[Layout.SEVENSCENES](tmp_path)
-    content = saved(Image.new("RGB", SIZE, (255, 255, 255)), ".png")
-    (tmp_path / "seq-01" / name).write_bytes(content)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        sequence = read_recording(folder)
-    assert len([w for w in caught if issubclass(w.category, DatasetWarning)]) == STRANGERS[name]
-    assert len(sequence) == N
-    assert values(sequence) == [10 * i for i in range(N)]
-    assert all(name in where for _, where in sequence.notes)
-
-
-@pytest.mark.parametrize("name", ["seq-01-old", "seq-01 (copy)", "seq-bad", "seq-01.bak"])
-def test_folders_that_look_like_a_recording_are_told(tmp_path, name):
-    folder = WRITERS[Layout.SEVENSCENES](tmp_path)
-    picture(tmp_path / name / "frame-000000.color.png", 25)
-    with pytest.warns(DatasetWarning, match="no recording"):
-        assert len(read_recording(folder)) == N
-
-
-def test_one_name_with_two_suffixes_is_one_frame(tmp_path):
-    folder = WRITERS[Layout.KITTI](tmp_path)
-    (folder / "image_0" / "000003.JPG").write_bytes(JPEG)
-    with pytest.warns(DatasetWarning, match="another file has its name"):
-        sequence = read_recording(folder)
-    assert values(sequence) == [10 * i for i in range(N)]
-
-
-@pytest.mark.parametrize("times", [0.1, 0.5])
-def test_a_kitti_image_that_is_missing_moves_no_pose_and_no_time(tmp_path, times):
-    folder = WRITERS[Layout.KITTI](tmp_path)
-    (folder / "times.txt").write_text("\n".join(str(times * i) for i in range(N)))
-    (folder / "image_0" / "000002.png").unlink()
-    sequence = read_recording(folder)
-    kept = np.array([0, 1, 3, 4])
-    np.testing.assert_allclose(sequence.require_truth().poses_se3, matrices()[kept], atol=1e-9)
-    np.testing.assert_allclose(sequence.timestamps_s, times * kept)
-    assert image_size(sequence.image_paths[0]) == SIZE
+@pytest.mark.parametrize("suffix", ["png", "tiff", "ppm"])
+@pytest.mark.parametrize("white", [1023, 65535])
+def test_colours_of_16_bits_are_scaled_by_the_bits_in_use(tmp_path, suffix, white):
+    rgb = np.empty((6, 8, 3), np.uint16)
+    rgb[...] = np.array([1.0, 0.5, 0.25]) * white
+    cv2.imwrite(str(tmp_path / f"a.{suffix}"), rgb[..., ::-1])
+    np.testing.assert_allclose(read_image(tmp_path / f"a.{suffix}")[0, 0], [255, 127.5, 63.75], atol=0.6)

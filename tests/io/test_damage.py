@@ -1,0 +1,680 @@
+"""Damage of every kind to data sets of every layout: it costs a frame, which is named, or the file is refused by name.
+
+Nothing shifts, and nothing outside the folder is read.
+"""
+
+import json
+import os
+import warnings
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from conformodal.conformal import ConformodalError
+from conformodal.geometry import PinholeCamera, PoseError
+from conformodal.io import DatasetError, DatasetWarning, ImageError, Layout, read_recording
+from conformodal.io.cameras import camera_beside
+from conformodal.io.streams.opening import open_stream
+from tests.helpers import invoke
+from tests.io.test_layouts import SIZE, WRITERS, N, picture
+
+# what a test does not match is not its point
+pytestmark = pytest.mark.filterwarnings("ignore::conformodal.io.DatasetWarning")
+SEVEN, RGBD, KITTI, TUM = Layout.SEVENSCENES, Layout.RGBD_SCENES, Layout.KITTI, Layout.TUM
+EUROC, COLMAP, NERF, IMAGES = Layout.EUROC, Layout.COLMAP, Layout.NERF, Layout.IMAGES
+NAN, INF = float("nan"), float("inf")
+
+
+def file_of(root, name):
+    return max(p for p in root.rglob("*") if str(p).endswith("/" + name))
+
+
+# ---- damage that costs a frame
+
+
+def expect(folder, layout, before, lost, match, *, always=False):
+    """One frame is lost to training and named; the others are as before. `always`: to every reading."""
+    kept = [i for i in range(N) if i != lost]
+    with pytest.warns(DatasetWarning, match=match):
+        recording = read_recording(folder, layout)
+    assert recording.image_paths == tuple(before.image_paths[i] for i in kept)
+    np.testing.assert_allclose(recording.timestamps_s, before.timestamps_s[kept])
+    np.testing.assert_allclose(recording.require_truth().poses_se3, before.truth.poses_se3[kept], atol=1e-9)
+    assert recording.camera == before.camera
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DatasetWarning)
+        everything = read_recording(folder, layout, require_poses=False)
+    assert everything.image_paths == (recording.image_paths if always else before.image_paths)
+
+
+def replaced(make):
+    def change(path):
+        path.unlink()
+        make(path)
+
+    return change
+
+
+UNREADABLE = {
+    "empty": lambda path: path.write_bytes(b""),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:60]),
+    "a folder": replaced(Path.mkdir),
+    "a pipe": replaced(os.mkfifo),
+    "a broken link": replaced(lambda path: path.symlink_to("nowhere.png")),
+    "a device": replaced(lambda path: path.symlink_to("/dev/zero")),
+    "another size": lambda path: Image.new("RGB", (128, 96)).save(path),
+}
+
+
+@pytest.mark.parametrize("layout", WRITERS)
+@pytest.mark.parametrize("damage", UNREADABLE)
+def test_a_bad_image_costs_its_frame(tmp_path, layout, damage):
+    folder = WRITERS[layout](tmp_path)
+    before = read_recording(folder)
+    place = (list(WRITERS).index(layout) + list(UNREADABLE).index(damage)) % 2 * 3  # the first, or one in the middle
+    UNREADABLE[damage](before.image_paths[place])
+    expect(folder, layout, before, place, before.image_paths[place].name)
+    with pytest.raises(ImageError, match=before.image_paths[place].name):
+        read_recording(folder, require_poses=False).image(place)
+
+
+# where the pose of frame 2 is: its file, the separator, the words of the pose, the first number of the position
+LINES = {
+    TUM: ("groundtruth.txt", " ", slice(1, 8), 0),
+    IMAGES: ("poses.tum", " ", slice(1, 8), 0),
+    EUROC: ("state_groundtruth_estimate0/data.csv", ",", slice(1, 8), 0),
+    RGBD: ("02.pose", " ", slice(0, 7), 4),
+    KITTI: ("07.txt", " ", slice(0, 12), 3),
+}
+MATRIX = (KITTI, SEVEN, NERF)
+
+
+def change_pose(layout, root, change):
+    """Change the words of frame 2's pose, as they are in its file."""
+    if layout is SEVEN:
+        path = file_of(root, "frame-000002.pose.txt")
+        path.write_text(" ".join(change(path.read_text().split())))
+    elif layout is NERF:
+        path = root / "transforms.json"
+        content = json.loads(path.read_text())
+        frame = next(f for f in content["frames"] if "0002" in f["file_path"])
+        words = list(map(float, change([str(v) for row in frame["transform_matrix"] for v in row])))
+        frame["transform_matrix"] = [words[k : k + 4] for k in range(0, len(words), 4)]
+        path.write_text(json.dumps(content))
+    else:
+        name, separator, place, _ = LINES[layout]
+        path = file_of(root, name)
+        lines = path.read_text().splitlines()
+        at = [k for k, line in enumerate(lines) if not line.startswith("#")][2]
+        words = lines[at].split(separator)
+        words[place] = change(words[place])
+        lines[at] = separator.join(words)
+        path.write_text("\n".join(lines) + "\n")
+
+
+def position(value):
+    return lambda layout: (
+        lambda words: [value if k == LINES.get(layout, (3,))[-1] else word for k, word in enumerate(words)]
+    )
+
+
+def rotation(value):
+    """The words with all numbers of the rotation replaced, by place."""
+
+    def change(layout):
+        place = LINES.get(layout, (3,))[-1]
+        held = [place, place + 1, place + 2] if layout not in MATRIX else [3, 7, 11, 12, 13, 14, 15]
+        return lambda words: [word if k in held else value(k, word) for k, word in enumerate(words)]
+
+    return change
+
+
+POSES = {
+    **{f"a number is {value!r}": position(value) for value in ("nan", "1e400", "1_0", "lost", "1;5", "\u0661")},
+    "far away": position("1e200"),
+    "cut": lambda _: lambda words: words[: len(words) // 3],
+    "no direction": rotation(lambda k, word: "0"),
+    "too large": rotation(lambda k, word: "2.5" if k == 0 else word),
+    "a mirror": rotation(lambda k, word: str(-float(word)) if k % 4 == 0 else word),
+}
+NOT_NUMBERS = {"cut", *(f"a number is {value!r}" for value in ("1_0", "lost", "1;5", "\u0661"))}
+BAD_POSES = [
+    (what, layout)
+    for what in POSES
+    for layout in (*LINES, SEVEN, NERF)
+    if layout in MATRIX or what not in ("too large", "a mirror")  # quaternions are scaled, and have no mirrors
+    if layout is not NERF or what not in NOT_NUMBERS  # what is not a number costs the file
+]
+
+
+@pytest.mark.parametrize(("what", "layout"), BAD_POSES)
+def test_a_bad_pose_costs_its_frame(tmp_path, what, layout):
+    folder = WRITERS[layout](tmp_path)
+    for truth in tmp_path.rglob("state_groundtruth_estimate0"):  # a lost row of 20 Hz would be bridged
+        (truth / "max-gap.txt").write_text("0.06")
+    before = read_recording(folder)
+    change_pose(layout, tmp_path, POSES[what](layout))
+    expect(folder, layout, before, 2, before.image_paths[2].name)
+
+
+@pytest.mark.parametrize("what", ["missing", "bytes", "empty", "a folder", "a pipe", "a broken link"])
+def test_a_7_scenes_pose_that_is_not_a_file_costs_its_frame(tmp_path, what):
+    folder = WRITERS[SEVEN](tmp_path)
+    before = read_recording(folder)
+    changes = UNREADABLE | {"missing": Path.unlink, "bytes": lambda path: path.write_bytes(b"\xff\xfe\x001\x00")}
+    changes[what](tmp_path / "seq-01" / "frame-000003.pose.txt")
+    expect(folder, SEVEN, before, 3, r"frame-000003\.color\.png: .*frame-000003\.pose")
+
+
+def test_two_poses_for_one_time_are_no_pose(tmp_path):
+    folder = WRITERS[TUM](tmp_path)
+    before = read_recording(folder)
+    path = folder / "groundtruth.txt"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines, " ".join([lines[3].split()[0], "7", *lines[3].split()[2:]])]) + "\n")
+    expect(folder, TUM, before, 2, "2.png: no pose within")
+    with pytest.warns(DatasetWarning, match="two poses for time"):
+        read_recording(folder)
+
+
+TIMES = {
+    "NaN": lambda times: "nan",
+    "overflowing": lambda times: "1e400",
+    "twice": lambda times: times[1],
+    "decreasing": lambda times: times[0],
+    "far ahead": lambda times: str(9 * int(times[2])) if times[2].isdigit() else f"{9 * float(times[2])}",
+}
+LISTS = {TUM: "rgb.txt", EUROC: "mav0/cam0/data.csv"}
+
+
+@pytest.mark.parametrize("what", TIMES)
+@pytest.mark.parametrize("layout", [TUM, KITTI, IMAGES, EUROC])
+def test_a_bad_time_costs_its_frame(tmp_path, what, layout):
+    folder = WRITERS[layout](tmp_path)
+    if layout is IMAGES:
+        for i, path in enumerate(sorted(folder.glob("*.png"))):
+            path.rename(folder / f"{i}.png")
+        (folder / "times.txt").write_text("\n".join(f"{100 + 0.1 * i}" for i in range(N)))
+    before = read_recording(folder)
+    path = folder / LISTS.get(layout, "times.txt")
+    separator = "," if layout is EUROC else " "
+    lines = [line.split(separator) for line in path.read_text().splitlines() if not line.startswith("#")]
+    lines[2][0] = TIMES[what]([line[0] for line in lines])
+    path.write_text("\n".join(map(separator.join, lines)))
+    expect(folder, layout, before, 2, rf"{path.name}|{before.image_paths[2].name}", always=True)
+
+
+@pytest.mark.parametrize("layout", LISTS)
+@pytest.mark.parametrize("line", ["lost", "12", "now rgb/0.png", "1_0 rgb/0.png", "1_0,0.png", "5,"])
+def test_a_bad_line_of_images_is_left_out(tmp_path, layout, line):
+    folder = WRITERS[layout](tmp_path)
+    before = read_recording(folder)
+    path = folder / LISTS[layout]
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:3], line, *lines[3:]]))
+    with pytest.warns(DatasetWarning, match=rf"{path.name}, line 4: expected"):
+        after = read_recording(folder)
+    assert after.image_paths == before.image_paths
+    np.testing.assert_array_equal(after.truth.positions_xyz, before.truth.positions_xyz)
+
+
+def test_a_name_that_is_not_utf_8_costs_its_frame(tmp_path):
+    folder = WRITERS[IMAGES](tmp_path)
+    before = read_recording(folder)
+    for i, path in enumerate(before.image_paths):
+        path.rename(os.fsdecode(os.fsencode(folder) + (b"/%d.png" % i if i != 2 else b"/2\xff.png")))
+    np.savetxt(folder / "poses.txt", before.truth.poses_se3[:, :3].reshape(N, 12))
+    (folder / "poses.tum").unlink()
+    with pytest.warns(DatasetWarning, match="not UTF-8"):
+        after = read_recording(folder)
+    np.testing.assert_allclose(after.truth.positions_xyz, np.delete(before.truth.positions_xyz, 2, axis=0), atol=1e-9)
+    assert r"2\xff.png" in invoke("data", "check", folder).output
+
+
+# ---- files that are refused
+
+
+def put(name, content):
+    return lambda root: file_of(root, name).write_text(content)
+
+
+def sub(name, old, new, count=-1):
+    return lambda root: put(name, file_of(root, name).read_text().replace(old, new, count))(root)
+
+
+def add(name, content):
+    return lambda root: (root / name).write_text(content)
+
+
+def drop(name):
+    return lambda root: file_of(root, name).unlink()
+
+
+def nerf(changes, frame=None):
+    def change(root):
+        content = json.loads((root / "transforms.json").read_text())
+        (content if frame is None else content["frames"][frame]).update(changes)
+        (root / "transforms.json").write_text(json.dumps(content))
+
+    return change
+
+
+def then(*changes):
+    return lambda root: [change(root) for change in changes]
+
+
+def blank_line(name):
+    def change(root):
+        lines = file_of(root, name).read_text().splitlines()
+        put(name, "\n".join([*lines[:3], "", *lines[3:]]) + "\n")(root)
+
+    return change
+
+
+POINTS = "10.5 11.5 -1 12.0 13.0 44\n"
+ONE_POSE = "1 0 0 0 0 1 0 0 0 0 1 0\n"
+# layout, change of a file, the file that is named
+REFUSED = [
+    (SEVEN, lambda r: picture(r / "seq-1" / "frame-000000.color.png", 25), "seq-0?1"),
+    (SEVEN, lambda r: picture(r / "seq-01" / "frame-3.color.png", 25), "frame-(3|000003).color.png"),
+    (SEVEN, lambda r: [p.unlink() for p in r.rglob("*.pose.txt")], r"000000\.pose\.txt"),
+    (SEVEN, drop("camera-intrinsics.txt"), "camera-intrinsics"),
+    (SEVEN, lambda r: [p.unlink() for p in r.rglob("frame-0*")], "frame-NNNNNN"),
+    (SEVEN, add("camera-distortion.txt", "-0.28 0.07\n"), r"camera-distortion\.txt"),
+    (SEVEN, add("camera-distortion.txt", "wide\n"), r"camera-distortion\.txt"),
+    *[(SEVEN, add("frame-rate.txt", x), r"frame-rate\.txt") for x in ("nan", "0", "-3", "1e300", "30 30", "", "3_0")],
+    (RGBD, put("02.pose", "1 0 0 0 0 0 0\n"), r"02\.pose"),
+    (RGBD, put("02.pose", "0 0 0 0 1 1 1\n"), r"02\.pose"),
+    (RGBD, blank_line("02.pose"), r"02\.pose, line 4"),
+    *[
+        (KITTI, put("calib.txt", text), r"calib\.txt.*P0")
+        for text in (
+            "P1: 1\n", "P0: 40 0 0 0 0 40 0 0 32 24 1 0", "P0: 1 0 0 0 0 1 0 0 0 0 1 0",
+            "P0: 40 0 32 0 0 40 24 0 0 0 0 0", "P0: 40 0 32 0 0 40 24 0 0 0 1 nan",
+        )
+    ],
+    (KITTI, put("times.txt", "0 1\n"), r"times\.txt"),
+    (KITTI, put("times.txt", "5 4 3 2 1\n"), r"00000\d\.png"),
+    (KITTI, put("07.txt", "1 2 3\n"), r"07\.txt, line 1"),
+    (KITTI, put("07.txt", ONE_POSE), r"07\.txt"),
+    (KITTI, put("07.txt", "r11 r12 r13 tx\n" + ONE_POSE * N), r"07\.txt, line 1"),
+    (KITTI, blank_line("07.txt"), r"07\.txt, line 4"),
+    (KITTI, lambda r: picture(r / "sequences/07/image_0/000003.bmp", 1), r"000003\.(png|bmp)"),
+    (TUM, put("rgb.txt", "# nothing\n"), r"rgb\.txt"),
+    (TUM, drop("camera-intrinsics.txt"), "camera-intrinsics"),
+    (EUROC, drop("sensor.yaml"), r"sensor\.yaml"),
+    (EUROC, put("sensor.yaml", "intrinsics: [1, 2]\n"), r"sensor\.yaml"),
+    (EUROC, sub("sensor.yaml", "T_BS", "T_SB"), r"sensor\.yaml"),
+    (EUROC, sub("sensor.yaml", "[40, 40, 32, 24]", "'4432'"), r"sensor\.yaml"),
+    (EUROC, sub("sensor.yaml", "radial-tangential", "kannala-brandt"), r"sensor\.yaml: .*undistort"),
+    (EUROC, sub("sensor.yaml", "data: [", "data: [2.0, ", 1), r"sensor\.yaml"),  # one number too many
+    (EUROC, sub("sensor.yaml", "-1.0", "-1.1", 1), r"sensor\.yaml"),  # not a rotation
+    *[
+        (COLMAP, sub("images.txt", *change), r"images\.txt")
+        for change in (
+            (" 3 0002", " 4 0002"), (POINTS, "", 1), (POINTS, "10.5 11.5\n", 1), (" 0003.png", ""),
+            ("0003.png", "0002.png"), (" 3 0003", " 3_0 0003"), ("44\n", "44\n1 2 3 4 5 6 7 8 9 10 11 12\n", 1),
+        )
+    ],
+    (COLMAP, put("images.txt", "# nothing\n"), r"images\.txt"),
+    (COLMAP, add("times.txt", "1 2 4\n"), r"times\.txt"),
+    *[
+        (COLMAP, put("cameras.txt", f"3 {camera}\n"), r"cameras\.txt, line 1")
+        for camera in (
+            "THIN_PRISM_FISHEYE 64 48 40 40 32 24 0.1 0.1 0.1 0.1", "FULL_OPENCV 64 48 40 40 32 24 0.1 0 0 0 0 0.1 0 0",
+            "PINHOLE 64 48 40 40 32 24 1", "OPENCV 64 48 40 40 32 24", "RADIAL 64 48 40",
+        )
+    ],
+    (NERF, lambda r: put("transforms.json", (r / "transforms.json").read_text()[:-20])(r), r"transforms\.json"),
+    (NERF, sub("transforms.json", "camera_angle_x", "angle"), r"transforms\.json"),
+    (NERF, sub("transforms.json", "/00", "/01"), r"transforms\.json"),
+    (NERF, sub("transforms.json", "1.0]]", "]]", 1), r"transforms\.json"),
+    (NERF, add("times.txt", "1 2 4\n"), r"times\.txt"),
+    *[
+        (NERF, nerf(changes), r"transforms\.json: ")
+        for changes in (
+            {"camera_angle_x": 0}, {"camera_angle_x": 90.0}, {"distortion_params": [0.1]},
+            {"camera_model": "EQUIRECTANGULAR"}, {"camera_model": ["OPENCV"]}, {"is_fisheye": True},
+            {"camera_model": "OPENCV", "is_fisheye": True}, {"k1": 0.1, "k2": 0.1, "k3": 0.1, "k4": 0.1},
+        )
+    ],
+    *[
+        (NERF, nerf(changes, frame=2), r"transforms\.json: ")
+        for changes in (
+            {"w": 128}, {"camera_model": "FISHEYE"}, {"file_path": "images/0000.png"},
+            {"file_path": "images/../images/0000"},
+        )
+    ],
+    (IMAGES, drop("poses.tum"), r"poses\.tum"),
+    *[(IMAGES, then(drop("poses.tum"), add("poses.txt", ONE_POSE * n)), r"poses\.txt") for n in (N - 1, N + 1)],
+    (IMAGES, then(drop("poses.tum"), add("poses.txt", "0 1 2 3 0 0 0 1\n" * N)), r"poses\.txt, line 1"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("layout", "change", "match"), REFUSED)
+def test_a_damaged_data_set_is_refused_by_its_file(tmp_path, layout, change, match):
+    folder = WRITERS[layout](tmp_path)
+    change(tmp_path)
+    with pytest.raises(DatasetError, match=match) as caught:
+        read_recording(folder, layout)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("layout", WRITERS)
+def test_a_data_set_without_one_sound_image_is_refused(tmp_path, layout):
+    folder = WRITERS[layout](tmp_path)
+    for path in read_recording(folder).image_paths:
+        path.write_bytes(b"")
+    with pytest.raises(ImageError, match="cannot be decoded"):
+        read_recording(folder)
+
+
+@pytest.mark.parametrize("layout", [Layout.AUTO, *WRITERS])
+@pytest.mark.parametrize("what", ["nowhere", "file", "empty"])
+def test_what_is_not_a_data_set_is_refused(tmp_path, layout, what):
+    path = tmp_path / "a"
+    if what == "file":
+        path.write_text("x")
+    elif what == "empty":
+        path.mkdir()
+    with pytest.raises(DatasetError):
+        read_recording(path, layout)
+
+
+def test_images_without_a_camera_are_told_what_they_lack(tmp_path):
+    picture(tmp_path / "photos" / "a.png", 1)
+    for folder in (tmp_path / "photos", tmp_path):
+        with pytest.raises(DatasetError, match=r"photos holds 1 image; put camera-intrinsics\.txt"):
+            read_recording(folder)
+    (tmp_path / "photos" / "camera-intrinsics.txt").write_text("40 40 32 24")
+    with pytest.raises(DatasetError, match=r"name a folder in it, such as .*photos"):
+        read_recording(tmp_path)
+
+
+# ---- cameras
+
+
+def write_camera(layout, root, pixels, lens=(), size=SIZE):
+    """Write a camera into a data set of a layout; returns the name of its file."""
+    fx, fy, cx, cy = pixels
+    if layout is KITTI:
+        path = next(root.rglob("calib.txt"))
+        path.write_text(f"P0: {fx} 0 {cx} 0 0 {fy} {cy} 0 0 0 1 0\n")
+    elif layout is EUROC:
+        path = next(root.rglob("sensor.yaml"))
+        keep = [x for x in path.read_text().splitlines() if not x.startswith(("intri", "distortion_coeff", "resol"))]
+        keep += [f"resolution: {list(size)}", f"intrinsics: {list(map(float, pixels))}"]
+        keep.append(f"distortion_coefficients: {list(map(float, lens or (0, 0, 0, 0)))}")
+        path.write_text("\n".join(keep).replace("nan", ".nan").replace("inf]", ".inf]").replace("inf,", ".inf,"))
+    elif layout is COLMAP:
+        path = next(root.rglob("cameras.txt"))
+        path.write_text(f"3 OPENCV {size[0]} {size[1]} {' '.join(map(str, (*pixels, *(lens or (0, 0, 0, 0)))))}\n")
+    elif layout is NERF:
+        path = root / "transforms.json"
+        names = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2")
+        nerf(dict(zip(names, (*pixels, *size, *(lens or (0, 0, 0, 0))), strict=True)))(root)
+    else:
+        path = max(root.rglob("camera-intrinsics.txt"))
+        path.write_text(f"{fx} 0 {cx}\n0 {fy} {cy}\n0 0 1\n")
+        if lens:
+            path.with_name("camera-distortion.txt").write_text(" ".join(map(str, lens)))
+    return path.name
+
+
+# what: (fx, fy, cx, cy, lens), in images of 64x48
+NOT_CAMERAS = {
+    "fx is NaN": (NAN, 40, 32, 24, ()),
+    "fx is negative": (-40, 40, 32, 24, ()),
+    "fy is zero": (40, 0, 32, 24, ()),
+    "cy is infinite": (40, 40, 32, INF, ()),
+    "cx is a million millions": (40, 40, 1e12, 24, ()),
+    "fx sees 179 degrees": (0.5, 40, 32, 24, ()),
+    "fx sees a thousandth of a degree": (1e7, 40, 32, 24, ()),
+    "k1 is 1e9": (40, 40, 32, 24, (1e9, 0, 0, 0)),
+    "k2 is NaN": (40, 40, 32, 24, (0, NAN, 0, 0)),
+}
+UNLIKELY = {
+    "principal point right of the image": ((40, 40, 640, 24, ()), "principal point .* outside"),
+    "intrinsics of ten times the size": ((400, 400, 320, 240, ()), "about 640x480"),
+    "intrinsics of half the size": ((20, 20, 16, 12, ()), "about 32x24"),
+    "fx twice fy": ((80, 40, 32, 24, ()), "fx = 80 and fy = 40"),
+    "a view of 145 degrees": ((10, 10, 32, 24, ()), "field of view of 145"),
+    "a view of two degrees": ((2000, 2000, 32, 24, ()), "field of view of 1.83"),
+    "a lens that folds the image": ((40, 40, 32, 24, (-2.0, 0, 0, 0)), "folds"),
+}
+
+
+@pytest.mark.parametrize("layout", WRITERS)
+def test_what_is_not_a_camera_is_refused_by_file_and_what_is_unlikely_is_told(tmp_path, layout):
+    folder = WRITERS[layout](tmp_path)
+    for *pixels, lens in NOT_CAMERAS.values():
+        if layout is KITTI and lens:
+            continue
+        name = write_camera(layout, tmp_path, pixels, lens)
+        with pytest.raises(DatasetError, match=name) as caught:
+            read_recording(folder, layout)
+        assert "\n" not in str(caught.value)
+    for beside in tmp_path.rglob("camera-distortion.txt"):
+        beside.unlink()
+    for (*pixels, lens), match in UNLIKELY.values():
+        if layout is KITTI and lens:
+            continue
+        name = write_camera(layout, tmp_path, pixels, lens)
+        with pytest.warns(DatasetWarning, match=match):
+            recording = read_recording(folder, layout)
+        assert (recording.camera.fx, recording.camera.cy) == (pixels[0], pixels[3])
+        assert any(name in where for _, where in recording.notes)
+    write_camera(layout, tmp_path, (41.0, 40.0, 33.0, 23.0), () if layout is KITTI else (-0.1, 0.02, 0.001, 0.002))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DatasetWarning)
+        assert read_recording(folder, layout).notes == ()
+
+
+@pytest.mark.parametrize("layout", [COLMAP, EUROC, NERF])
+@pytest.mark.parametrize(
+    ("size", "pixels", "scaled"),
+    [
+        ((640, 480), (400, 400, 320, 240), True),
+        ((640, 640), (400, 400, 320, 320), False),
+        ((48, 64), (40, 40, 24, 32), False),
+        ((0, 0), (40, 40, 32, 24), False),
+    ],
+)
+def test_a_size_that_the_file_states_scales_its_camera_or_refuses(tmp_path, layout, size, pixels, scaled):
+    folder = WRITERS[layout](tmp_path)
+    name = write_camera(layout, tmp_path, pixels, size=size)
+    if not scaled:
+        with pytest.raises(DatasetError, match=name):
+            read_recording(folder)
+        return
+    with pytest.warns(DatasetWarning, match=f"scaled from {size[0]}x{size[1]}"):
+        camera = read_recording(folder).camera
+    assert (camera.fx, camera.cx, camera.cy, camera.width) == pytest.approx((40, 32, 24, 64))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "40 0 0\n0 40 0\n32 24 1\n", "1 0 0\n0 1 0\n0 0 1\n", "40 0 32\n0 40 24\n0 0 2\n", "0 0 0\n0 0 0\n0 0 0\n",
+        "0.025 0 -0.8\n0 0.025 -0.6\n0 0 1\n", "40 5 32\n0 40 24\n0 0 1\n", "40 nan 32\n0 40 24\n0 0 1\n", "40 40 32\n",
+        "fx 0 cx\n0 fy cy\n0 0 1\n", "4_0 0 32\n0 40 24\n0 0 1\n", "\u0664\u0660 0 32\n0 40 24\n0 0 1\n",
+    ],
+)  # fmt: skip
+def test_matrices_that_are_not_a_camera_are_refused(tmp_path, content):
+    (tmp_path / "camera-intrinsics.txt").write_text(content)
+    with pytest.raises(DatasetError, match="camera-intrinsics"):
+        camera_beside(tmp_path, SIZE, None, [])
+
+
+@pytest.mark.parametrize("field", ["fx", "fy", "cx", "cy", "width", "height"])
+def test_a_camera_refuses_what_is_not_a_finite_number(field):
+    good = {"fx": 40.0, "fy": 40.0, "cx": 32.0, "cy": 24.0, "width": 64, "height": 48}
+    for value in (NAN, INF, -INF, None, "40"):
+        with pytest.raises(PoseError, match=f"camera has {field} = "):
+            PinholeCamera(**(good | {field: value}))
+
+
+# ---- what does no harm
+
+
+def expect_the_same(folder, before):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DatasetWarning)
+        after = read_recording(folder)
+    assert (after.image_paths, after.camera, after.notes) == (before.image_paths, before.camera, ())
+    np.testing.assert_array_equal(after.timestamps_s, before.timestamps_s)
+    np.testing.assert_array_equal(after.truth.positions_xyz, before.truth.positions_xyz)
+
+
+@pytest.mark.parametrize("layout", WRITERS)
+def test_what_systems_leave_behind_is_no_frame(tmp_path, layout):
+    folder = WRITERS[layout](tmp_path)
+    before = read_recording(folder)
+    for path in {p.parent for p in tmp_path.rglob("*") if p.is_file()}:
+        for junk in ("._{name}", ".DS_Store", "Thumbs.db", ".{name}.swp", "{name}.part", ".hidden.png"):
+            (path / junk.format(name=before.image_paths[0].name)).write_bytes(b"\0\5\x16\7")
+    expect_the_same(folder, before)
+
+
+CHANGES = {
+    "BOM and CRLF": lambda content: b"\xef\xbb\xbf" + content.replace(b"\n", b"\r\n"),
+    "CR": lambda content: content.replace(b"\n", b"\r"),
+    "blank lines at the end": lambda content: content.rstrip(b"\n") + b"\n\n\n",
+}
+
+
+@pytest.mark.parametrize("layout", WRITERS)
+@pytest.mark.parametrize("change", CHANGES)
+def test_texts_of_other_systems_are_read_the_same(tmp_path, layout, change):
+    folder = WRITERS[layout](tmp_path)
+    before = read_recording(folder)
+    for path in [p for p in tmp_path.rglob("*") if p.suffix in (".txt", ".csv", ".yaml", ".json", ".pose", ".tum")]:
+        path.write_bytes(CHANGES[change](path.read_bytes()))
+    expect_the_same(folder, before)
+
+
+def on_lines(change):
+    def changed(text):
+        lines = text.splitlines()
+        return "\n".join(change(lines, max(0, len(lines) // 2))) + "\n"
+
+    return changed
+
+
+HURTS = {
+    "empty": lambda text: "",
+    "cut": lambda text: text[: len(text) // 2],
+    "no number": on_lines(lambda lines, k: [*lines[:k], lines[k].replace("0", "nan", 1), *lines[k + 1 :]]),
+    "a word": on_lines(lambda lines, k: [*lines[:k], "oops", *lines[k + 1 :]]),
+    "short line": on_lines(lambda lines, k: [*lines[:k], lines[k][: len(lines[k]) // 2], *lines[k + 1 :]]),
+    "huge": on_lines(lambda lines, k: [*lines[:k], lines[k].replace("0", "9e99", 1), *lines[k + 1 :]]),
+}
+STAMPED = {  # of files whose lines do not stand for frames by their number
+    "line gone": on_lines(lambda lines, k: [*lines[:k], *lines[k + 1 :]]),
+    "line twice": on_lines(lambda lines, k: [*lines[:k], lines[k], *lines[k:]]),
+    "backwards": on_lines(lambda lines, k: lines[::-1]),
+}
+FILES = {
+    SEVEN: ("frame-000002.pose.txt", "camera-intrinsics.txt"),
+    RGBD: ("02.pose",),
+    KITTI: ("calib.txt", "times.txt", "07.txt"),
+    TUM: ("rgb.txt", "groundtruth.txt"),
+    EUROC: ("sensor.yaml", "cam0/data.csv", "estimate0/data.csv"),
+    COLMAP: ("cameras.txt", "images.txt"),
+    NERF: ("transforms.json",),
+    IMAGES: ("poses.tum",),
+}
+BY_TIME = ("rgb.txt", "groundtruth.txt", "data.csv", "poses.tum")
+
+
+@pytest.mark.parametrize("layout", FILES)
+def test_damage_to_any_file_is_told_and_no_frame_gets_another_pose(tmp_path, layout):
+    folder = WRITERS[layout](tmp_path)
+    whole = read_recording(folder, layout)
+    poses = dict(zip((path.name for path in whole.image_paths), whole.truth.poses_se3, strict=True))
+    outcomes = Counter()
+    for name in FILES[layout]:
+        path = max(p for p in tmp_path.rglob("*") if str(p).endswith(name))
+        text = path.read_text()
+        for what, damage in (HURTS | (STAMPED if name.endswith(BY_TIME) else {})).items():
+            path.write_bytes(damage(text).encode())
+            try:
+                recording = read_recording(folder, layout, require_poses=True)
+            except ConformodalError as exc:
+                assert "\n" not in str(exc)  # noqa: PT017
+                outcomes["refused"] += 1
+                continue
+            finally:
+                path.write_text(text)
+            assert recording.notes or recording.camera == whole.camera, (name, what)
+            assert recording.notes or len(recording) == N or what in STAMPED, (name, what)
+            for image, pose in zip(recording.image_paths, recording.truth.poses_se3, strict=True):
+                # the neighbours of a row without a time are interpolated between, which is told
+                atol = 1e-3 if "poses are interpolated" in dict(recording.notes) else 1e-6
+                np.testing.assert_allclose(pose, poses[image.name], atol=atol, err_msg=f"{name}, {what}")
+            outcomes["read"] += 1
+    assert outcomes["refused"] > 0
+
+
+# ---- images outside the folder
+
+
+def outside(how, folder, root):
+    """A name that leads from a folder of images to another one beside the data set."""
+    image = root.parent / f"{root.name}-other" / "x.png"
+    image.parent.mkdir()
+    Image.new("RGB", (64, 48), (255, 0, 0)).save(image)
+    if how == "link":
+        (folder / "link.png").symlink_to(image)
+    elif how in ("folder link", "dots behind a link"):
+        (folder / "linked").symlink_to(image.parent)
+    names = {"absolute": str(image), "dots": os.path.relpath(image, folder), "link": "link.png"}
+    return names.get(how, "linked/../set-other/x.png" if how == "dots behind a link" else "linked/x.png")
+
+
+# the file that names the images, how it names that of frame 2, and the folder that this is relative to
+NAMED = {
+    TUM: ("rgb.txt", " rgb/2.png", ""),
+    EUROC: ("data.csv", ",{name}", "mav0/cam0/data"),
+    COLMAP: ("images.txt", " 0002.png", "images"),
+    NERF: ("transforms.json", '"./images/0002', ""),
+}
+
+
+@pytest.mark.parametrize("layout", NAMED)
+@pytest.mark.parametrize("how", ["link", "folder link", "absolute", "dots", "dots behind a link"])
+def test_links_are_followed_and_names_that_lead_outside_only_when_told(tmp_path, layout, how):
+    root = tmp_path / "set"
+    root.mkdir()
+    folder = WRITERS[layout](root)
+    file, name, base = NAMED[layout]
+    path = next(root.rglob(file))
+    name = name.format(name=read_recording(folder).image_paths[2].name)
+    path.write_text(path.read_text().replace(name, name[0] + outside(how, folder / base, root)))
+    if layout is COLMAP:  # where a picture that is not named is a frame without a pose
+        (folder / "images" / "0002.png").unlink()
+    if "link" not in how or "dots" in how:
+        with pytest.raises(DatasetError, match=rf"{file}: names .*x\.png.*--follow-outside"):
+            read_recording(folder)
+        with pytest.raises(DatasetError, match="outside"):
+            open_stream(folder)
+    recording = read_recording(folder, follow_outside="link" not in how or "dots" in how)
+    assert 255 in [recording.image(i)[0, 0, 0] for i in range(N)]
+
+
+@pytest.mark.parametrize("name", ["a\0b", "x" * 5000, "..", "/", "."])
+@pytest.mark.parametrize("layout", [TUM, NERF])
+def test_names_that_are_not_files_cost_a_frame_or_are_refused(tmp_path, layout, name):
+    folder = WRITERS[layout](tmp_path)
+    path = next(tmp_path.rglob(NAMED[layout][0]))
+    old = NAMED[layout][1]
+    path.write_text(path.read_text().replace(old, old[0] + (json.dumps(name)[1:-1] if layout is NERF else name)))
+    if name in ("a\0b", "..", "/"):
+        with pytest.raises(DatasetError):
+            read_recording(folder)
+        return
+    with pytest.warns(DatasetWarning, match="1 x left out"):
+        assert len(read_recording(folder)) == N - 1

@@ -1,0 +1,402 @@
+"""Sound data as their formats' own documentation has them, and doubts about what may be read wrongly."""
+
+import json
+import sys
+from importlib.metadata import EntryPoint
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from conformodal.geometry import PinholeCamera
+from conformodal.io import DatasetError, DatasetWarning, FrameTable, Layout, Reader, read_recording, readers, registry
+from conformodal.io.lenses import as_camera
+from conformodal.io.pose_files import read_tum
+from conformodal.io.pose_text import lost_faults, matrix_faults, unpadded_doubt
+from conformodal.io.reading import by_name, natural_key
+
+from .test_layouts import PLACES, QUATS, WRITERS, N, matrices, picture
+
+pytestmark = pytest.mark.filterwarnings("ignore::conformodal.io.DatasetWarning")
+STAMPS = 100 + 0.1 * np.arange(N)
+
+
+def right(recording):
+    """Every frame has its pose."""
+    assert len(recording) == N
+    np.testing.assert_allclose(recording.require_truth().poses_se3, matrices(), atol=1e-6)
+
+
+def path_at(times):
+    """Rows of TUM: the path of the known scene, 5 m/s along x and 100 degrees per second to the left."""
+    turned = Rotation.from_euler("z", (100 * (times - 100))[:, None], degrees=True)
+    quats = (turned * Rotation.from_quat(QUATS[0], scalar_first=True)).as_quat()
+    return np.column_stack((times, 5 * (times - 100), np.zeros(len(times)), np.full(len(times), 1.5), quats))
+
+
+def tum(root, rows, head=""):
+    folder = WRITERS[Layout.TUM](root)
+    np.savetxt(folder / "groundtruth.txt", rows, header=head, fmt="%.9f", comments="")
+    return folder
+
+
+# ---- a layout of one's own
+
+
+def test_a_package_adds_a_layout_by_an_entry_point(tmp_path, monkeypatch):
+    def read(folder):
+        return FrameTable("mine", [folder / "a.png"], np.zeros(1), PinholeCamera(40, 40, 32, 24, 64, 48))
+
+    module = type(sys)("their_package")
+    module.READER = Reader(read, lambda folder: (folder / "mine").is_file(), "a file 'mine'")
+    monkeypatch.setitem(sys.modules, "their_package", module)
+    point = EntryPoint("mine", "their_package:READER", registry.ENTRY_POINTS)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point] if group == registry.ENTRY_POINTS else [])
+    readers.cache_clear()
+    try:
+        picture(tmp_path / "a.png", 1)
+        (tmp_path / "mine").touch()
+        assert read_recording(tmp_path, require_poses=False).name == "mine"
+        with pytest.raises(DatasetError, match="poses are missing"):
+            read_recording(tmp_path, "mine")
+        module.READER = "no reader"
+        readers.cache_clear()
+        with pytest.raises(DatasetError, match="mine is not a Reader"):
+            read_recording(tmp_path)
+    finally:
+        readers.cache_clear()
+
+
+# ---- times
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e9, "nanoseconds"), (1e6, "microseconds"), (1e3, "milliseconds")])
+def test_times_since_1970_in_another_unit_are_converted_and_told(tmp_path, factor, unit):
+    times = STAMPS + 1.6e9
+    folder = tum(tmp_path, np.column_stack((times * factor, path_at(STAMPS)[:, 1:])))
+    lines = [f"{t * factor:.6f} rgb/{i}.png" for i, t in enumerate(times)]
+    (folder / "rgb.txt").write_text("\n".join(lines))
+    right(recording := read_recording(folder))
+    np.testing.assert_allclose(recording.timestamps_s, times, atol=1e-6)
+    assert unit in dict(recording.notes)["times are converted to seconds"]
+    with pytest.warns(UserWarning, match=unit):
+        np.testing.assert_allclose(read_tum(folder / "groundtruth.txt").timestamps_s, times, atol=1e-6)
+
+
+def test_fractions_without_zeros_before_them_are_told():
+    nanoseconds = 12_000_005_000 + 33_000_000 * np.arange(60)
+    assert "zeros left out" in unpadded_doubt([f"{t // 10**9}.{t % 10**9}" for t in nanoseconds.tolist()])
+    for sound in ("{:.9f}", "{:.6f}", "{!r}"):
+        assert not unpadded_doubt([sound.format(t / 1e9) for t in nanoseconds.tolist()])
+
+
+@pytest.mark.parametrize(("rate", "shift"), [(10, 0.004), (10, 0.05), (100, 0.003), (15, 0.0)])
+def test_poses_at_another_rate_are_interpolated(tmp_path, rate, shift):
+    recording = read_recording(tum(tmp_path, path_at(99.9 + shift + np.arange(8 * rate // 10) / rate)))
+    right(recording)
+    assert shift == 0.0 or any(f"gap bridged is {1 / rate:.3g} s" in where for _, where in recording.notes)
+
+
+def test_the_gap_that_is_bridged_has_a_limit_that_a_file_sets(tmp_path):
+    folder = tum(tmp_path, path_at(99.95 + 0.3 * np.arange(4)))
+    with pytest.raises(DatasetError, match=r"0\.3 s apart: write a longer gap into max-gap\.txt"):
+        read_recording(folder)
+    (folder / "max-gap.txt").write_text("0.31\n")
+    right(read_recording(folder))
+
+
+def test_poses_by_another_clock_are_told(tmp_path):
+    rows = path_at(STAMPS)
+    rows[:, 0] += 1.6e9
+    with pytest.raises(DatasetError, match="from 1970"):
+        read_recording(tum(tmp_path, rows))
+
+
+@pytest.mark.parametrize(
+    ("names", "even"),
+    [
+        ([f"{100 + 0.1 * i:.6f}" for i in range(N)], True),
+        ([f"{1_403_636_579_000_000_000 + 100_000_000 * i}" for i in range(N)], True),
+        ([f"shot_{i + 8}" for i in range(N)], True),
+        (["20240131125958", "20240131125959", "20240131130000", "20240131130001", "20240131130002"], True),
+        (["f001", "f002", "f003", "f005", "f006"], False),
+    ],
+)
+def test_times_of_images_are_their_names_or_even_and_gaps_are_told(tmp_path, names, even):
+    for i, name in enumerate(names):
+        picture(tmp_path / f"{name}.png", i)
+    (tmp_path / "camera-intrinsics.txt").write_text("40 40 32 24")
+    (tmp_path / "frame-rate.txt").write_text("10")
+    recording = read_recording(tmp_path, require_poses=False)
+    np.testing.assert_allclose(np.diff(recording.timestamps_s), 0.1, atol=1e-6)
+    assert [int(recording.image(i)[0, 0, 0]) for i in range(N)] == [10 * i for i in range(N)]
+    assert ("names skip numbers" not in dict(recording.notes)) == even
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("frame2.png", "frame10.png"),
+        ("a2b10.png", "a10b2.png"),
+        ("f-009.jpg", "f-0010.jpg"),
+        ("s1/f9.png", "s1/f10.png", "s2/f1.png", "s10/f1.png"),
+        ("0.5.png", "0.55.png", "0.6.png", "1.05.png", "10.1.png"),
+    ],
+)
+def test_names_are_in_the_order_of_their_numbers(names):
+    assert by_name(list(names)[::-1], str) == list(names)
+    assert natural_key("a2") < natural_key("a10")
+
+
+# ---- poses
+
+ORDERED = np.column_stack((STAMPS, PLACES, QUATS))  # w first
+
+
+@pytest.mark.parametrize(
+    ("head", "separator", "rows"),
+    [
+        ("# timestamp tx ty tz qx qy qz qw", ",", ORDERED[:, [0, 1, 2, 3, 5, 6, 7, 4]]),
+        ("timestamp,tx,ty,tz,qx,qy,qz,qw", "\t", ORDERED[:, [0, 1, 2, 3, 5, 6, 7, 4]]),
+        ("# time x y z qw qx qy qz", " ", ORDERED),
+        ("timestamp,p_x,p_y,p_z,q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []", ", ", ORDERED),
+    ],
+)
+def test_poses_with_other_separators_and_a_head_that_names_the_order(tmp_path, head, separator, rows):
+    folder = WRITERS[Layout.TUM](tmp_path)
+    lines = [separator.join(f"{v:.9f}" for v in row) for row in rows.tolist()]
+    (folder / "groundtruth.txt").write_text("\ufeff" + "\r\n".join([head, *lines]))
+    right(recording := read_recording(folder))
+    assert ("wxyz" in dict(recording.notes).get("poses are doubtful", "")) == (rows is ORDERED)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda rows: rows * ([1] * 4 + [5] * 4), "pose 0 .* length 5, expected 1"),
+        (lambda rows: np.column_stack((rows[:, :1], np.roll(rows[:, 1:], 4, axis=1))), "is the order another"),
+    ],
+)
+def test_quaternions_that_are_not_of_unit_length_are_told(tmp_path, change, told):
+    with pytest.warns(DatasetWarning, match=told):
+        read_recording(tum(tmp_path, change(path_at(STAMPS) + ([0, 0, 3, 0] + [0] * 4))))
+
+
+def test_positions_in_millimetres_are_told(tmp_path):
+    rows = path_at(STAMPS) * np.repeat([1, 1000, 1], [1, 3, 4])
+    assert "moves at 5e+03 m/s" in dict(read_recording(tum(tmp_path, rows)).notes)["speed is unlikely"]
+
+
+@pytest.mark.parametrize("frames", [[0], [2, 3], [N - 1]])
+def test_the_identity_far_from_a_path_is_a_lost_camera(tmp_path, frames):
+    rows = path_at(STAMPS) + np.array([0, 70, 0, 0, 0, 0, 0, 0])
+    rows[frames, 1:] = 0, 0, 0, 0, 0, 0, 1
+    recording = read_recording(tum(tmp_path, rows))
+    assert len(recording) == N - len(frames)
+    assert any("was the camera lost?" in where for _, where in recording.notes)
+
+
+def test_a_path_that_rests_or_begins_at_the_identity_keeps_it():
+    resting = np.zeros((12, 3))
+    resting[5:, 0] = 0.01 * np.arange(1, 8)
+    assert lost_faults(resting, (resting == 0).all(axis=1)) == {}
+    begins = np.zeros((100, 3))  # as SLAM, which needs a baseline first
+    begins[1:, 0] = 0.5 + 0.01 * np.arange(99)
+    assert lost_faults(begins, begins[:, 0] == 0) == {}
+    begins[-9] = 0
+    assert list(lost_faults(begins, begins[:, 0] == 0)) == [91]
+
+
+def test_a_matrix_that_is_transposed_says_so():
+    pose = np.eye(4)
+    pose[:3, 3] = 1, 2, 3
+    assert matrix_faults(pose.T[None])[0].endswith("; is it transposed?")
+
+
+def test_of_two_files_of_poses_the_one_that_is_read_is_told(tmp_path):
+    folder = WRITERS[Layout.IMAGES](tmp_path)
+    (folder / "groundtruth.txt").write_text((folder / "poses.tum").read_text())
+    notes = dict(read_recording(folder).notes)
+    assert notes["other poses are not read"].endswith("poses.tum is read, not groundtruth.txt")
+
+
+@pytest.mark.parametrize("camera", [1, 3])
+def test_the_other_cameras_of_kitti_and_images_that_are_missing(tmp_path, camera):
+    folder = WRITERS[Layout.KITTI](tmp_path)
+    (folder / "image_0").rename(folder / f"image_{camera}")
+    (folder / "calib.txt").write_text((folder / "calib.txt").read_text().replace("P2", f"P{camera}"))
+    (folder / f"image_{camera}" / "000002.png").unlink()
+    (folder / "times.txt").unlink()
+    poses = matrices()[[0, 1, 3, 4]]
+    poses[:, :3, 3] -= poses[:, :3, 0] * 0.2  # 8 / 40 m to the left of its own axes
+    recording = read_recording(folder)
+    np.testing.assert_allclose(recording.require_truth().poses_se3, poses, atol=1e-6)
+    np.testing.assert_allclose(recording.timestamps_s, [0, 0.1, 0.3, 0.4])
+
+
+@pytest.mark.parametrize(("name", "focal"), [("fr1_desk", 517.3), ("my-fr3", 535.4), ("fr10_desk", 0)])
+def test_the_camera_by_a_folder_s_name_is_that_of_the_whole_name(tmp_path, name, focal):
+    folder = WRITERS[Layout.TUM](tmp_path).rename(tmp_path / name)
+    (folder / "camera-intrinsics.txt").unlink()
+    for path in (folder / "rgb").iterdir():
+        Image.new("RGB", (640, 480)).save(path)
+    if focal:
+        assert read_recording(folder).camera.fx == focal
+        return
+    with pytest.raises(DatasetError, match="no camera is known"):
+        read_recording(folder)
+    assert read_recording(folder, focal="50").camera.fx == 50
+    for wrong, match in (("-1", "positive"), ("x", "positive"), ("auto", "tell no focal length")):
+        with pytest.raises(DatasetError, match=match):
+            read_recording(folder, focal=wrong)
+
+
+# ---- EuRoC, TUM-VI and NeRF
+
+
+def test_tum_vi_is_read(tmp_path):
+    """Poses of ``mocap0``, Kalibr's calibration with a fisheye lens, a clock that is ahead, OpenCV's head of YAML."""
+    folder = WRITERS[Layout.EUROC](tmp_path)
+    mav = tmp_path / "mav0"
+    (mav / "state_groundtruth_estimate0").rename(mav / "mocap0")
+    (mav / "cam0" / "sensor.yaml").unlink()
+    T_body_cam = np.eye(4)
+    T_body_cam[:3, :3], T_body_cam[:3, 3] = Rotation.from_euler("z", 90, degrees=True).as_matrix(), [0.1, 0.02, 0]
+    (tmp_path / "dso").mkdir()
+    chain = tmp_path / "dso" / "camchain.yaml"
+    text = (
+        "%YAML:1.0\n---\ncam0:\n  camera_model: pinhole\n  distortion_model: equidistant\n"
+        f"  T_cam_imu: {np.linalg.inv(T_body_cam).tolist()}\n  distortion_coeffs: [0.01, 0.002, 0.0, 0.0]\n"
+        "  intrinsics: [40, 40, 32, 24]\n  resolution: [64, 48]\n"
+    )
+    chain.write_text(text)
+    right(recording := read_recording(folder))
+    assert (recording.camera.fx, recording.camera.distortion) == (40, ())
+    chain.write_text(f"{text}  timeshift_cam_imu: 0.05\n")
+    late = read_recording(folder)
+    np.testing.assert_allclose(late.require_truth().positions_xyz, PLACES[1:], atol=1e-6)
+    assert "0.05 s, is added" in dict(late.notes)["times are shifted"]
+
+
+def nerf(root, *, name="transforms.json", top=None, frames=None):
+    """A NeRF data set, changed on top and in its frames."""
+    WRITERS[Layout.NERF](root)
+    content = json.loads((root / "transforms.json").read_text())
+    (root / "transforms.json").unlink()
+    content["frames"].reverse()  # in the order of names
+    for frame, change in zip(content["frames"], frames or [{}] * N, strict=True):
+        frame.update(change)
+    content = {k: v for k, v in (content | (top or {})).items() if v is not None}
+    (root / name).write_text(json.dumps(content))
+    return root
+
+
+WIDE = 2 * np.arctan(32 / 40)
+
+
+@pytest.mark.parametrize(
+    ("top", "frame", "focal"),
+    [
+        ({"camera_angle_y": 2 * np.arctan(24 / 44)}, {}, (40, 44)),
+        ({"camera_angle_x": None, "camera_angle_y": 2 * np.arctan(24 / 44)}, {}, (44, 44)),
+        ({"camera_angle_x": None, "fl_y": 44}, {}, (44, 44)),
+        (dict.fromkeys(("camera_angle_x", "cx", "cy")), {"fl_x": 40, "fl_y": 41, "w": 64, "h": 48}, (40, 41)),
+        ({"fl_x": 80, "fl_y": 80}, {"camera_angle_x": WIDE}, (40, 40)),
+        ({"fl_x": 40, "fl_y": 41}, {"camera_angle_x": None}, (40, 41)),
+    ],
+)
+def test_cameras_of_nerf_are_those_of_the_frame_or_the_file(tmp_path, top, frame, focal):
+    right(recording := read_recording(nerf(tmp_path, top=top, frames=[frame] * N)))
+    assert (recording.camera.fx, recording.camera.fy) == pytest.approx(focal)
+
+
+@pytest.mark.parametrize("how", ["another suffix", "three rows", "backslashes", "training frames"])
+def test_frames_of_nerf_as_its_programs_write_them(tmp_path, how):
+    opengl = (matrices() * [1, -1, -1, 1])[:, :3]
+    changes = {
+        "three rows": [{"transform_matrix": pose.tolist()} for pose in opengl],
+        "backslashes": [{"file_path": f".\\images\\000{i}.png"} for i in range(N)],
+    }
+    name = "transforms_train.json" if how == "training frames" else "transforms.json"
+    nerf(tmp_path, name=name, frames=changes.get(how))
+    if how == "another suffix":
+        for path in (tmp_path / "images").glob("*.png"):
+            Image.open(path).save(path.with_suffix(".WEBP"), "WEBP")
+            path.unlink()
+    if how == "training frames":
+        (tmp_path / "transforms_test.json").write_text("{}")
+    right(recording := read_recording(tmp_path))
+    assert ("other frames are not read" in dict(recording.notes)) == (how == "training frames")
+
+
+# ---- images
+
+
+@pytest.mark.parametrize(
+    ("names", "alike"),
+    [
+        ([f"{side}{i:03d}.png" for side in ("left", "right") for i in range(4)], False),
+        ([f"{i:03d}{kind}.png" for kind in ("", "_depth") for i in range(4)], False),
+        (["a1.png", "b1.png", "a2.png", "b3.png"], True),
+        (["a.png", "b.png", "c.png"], True),
+    ],
+)
+def test_images_of_two_kinds_in_a_folder_are_refused(tmp_path, names, alike):
+    for i, name in enumerate(names):
+        picture(tmp_path / name, i)
+    (tmp_path / "camera-intrinsics.txt").write_text("40 40 32 24")
+    if alike:
+        assert len(read_recording(tmp_path, require_poses=False)) == len(names)
+        return
+    with pytest.raises(DatasetError, match=r"images of two kinds, .* which 4 numbers have in common"):
+        read_recording(tmp_path, require_poses=False)
+
+
+def test_a_narrow_part_of_16_bits_is_told(tmp_path):
+    """As of thermal cameras."""
+    ramp = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64)
+    for scale, flat in ((7, False), (1, True)):
+        for i in range(3):
+            cv2.imwrite(str(tmp_path / f"{i}.png"), (8000 * flat + scale * (ramp // 4)).astype(np.uint16))
+        (tmp_path / "camera-intrinsics.txt").write_text("40 40 32 24")
+        notes = dict(read_recording(tmp_path, require_poses=False).notes)
+        assert ("images have little contrast" in notes) is flat
+
+
+@pytest.mark.parametrize("layout", [Layout.COLMAP, Layout.NERF])
+def test_images_that_exif_turns_do_not_fit_poses_of_stored_ones(tmp_path, layout):
+    folder = WRITERS[layout](tmp_path)
+    exif = Image.Exif()
+    exif[0x0112] = 3
+    Image.new("RGB", (64, 48)).save(folder / "images" / "0002.png", exif=exif)
+    with pytest.raises(DatasetError, match=r"0002\.png: EXIF turns it"):
+        read_recording(folder)
+
+
+def test_a_recording_is_seen_by_another_camera(tmp_path):
+    folder = WRITERS[Layout.IMAGES](tmp_path)
+    y, x = np.mgrid[:48, :64]
+    for path in folder.glob("*.png"):
+        Image.fromarray(np.dstack((4 * x, 5 * y, 0 * x)).astype(np.uint8)).save(path)
+    wanted = PinholeCamera(20, 20, 16, 12, 32, 24, (-0.1, 0.01, 0.001, 0.002))
+    changed = as_camera(read_recording(folder), wanted)
+    assert changed.camera == wanted
+    at = np.array([[16, 12], [6, 5], [27, 20]])
+    rays = cv2.undistortPoints(at[:, None].astype(float), wanted.matrix, np.array(wanted.distortion))[:, 0]
+    np.testing.assert_allclose(changed.image(0)[at[:, 1], at[:, 0], :2], (rays * 40 + (32, 24)) * (4, 5), atol=4)
+
+
+def test_images_of_other_cameras_are_brought_to_that_of_most(tmp_path):
+    """A camera of twice the size and focal length sees what the first sees."""
+    own = {"fl_x": 80, "fl_y": 80, "cx": 64, "cy": 48, "w": 128, "h": 96}
+    folder = nerf(tmp_path, top={"w": 64, "h": 48}, frames=[{}, own, {}, {}, {}])
+    y, x = np.mgrid[:96, :128] / 2
+    Image.fromarray(np.dstack((4 * x, 5 * y, 0 * x)).astype(np.uint8)).save(folder / "images" / "0001.png")
+    with pytest.warns(DatasetWarning, match="1 image of fx = 80, 128x96 as of fx = 40, 64x48"):
+        recording = read_recording(folder)
+    right(recording)
+    assert recording.camera.fx == pytest.approx(40)
+    y, x = np.mgrid[2:46, 2:62]
+    np.testing.assert_allclose(recording.image(1)[2:46, 2:62, :2].astype(int), np.dstack((4 * x, 5 * y)), atol=3)
