@@ -53,6 +53,22 @@ class _NoveltySettings:
 
 
 @dataclass(frozen=True)
+class _NeighbourSettings:
+    """Local regression among similar frames."""
+
+    places: int = 4  # answers at most, one per place
+    retrieved: int = 4  # frames that are clustered by place, in units of the frames of one regression
+    decay: float = 2.0  # the weight of the farthest frame is exp(-decay) (Cleveland 1979)
+    least_weight: float = 0.02  # of an answer
+    same_place: float = 0.5  # standard deviations of the targets within which answers are of the same place
+    usual: float = 0.9  # quantile of the novelty of left-out frames above which standard deviations grow with novelty
+    distrust: float = 4.0  # exponent with which the odds of an inlier fall above that
+    left_out: int = 800  # frames that settings are chosen on, at most
+    screened: int = 200  # of these, that all settings are tried on
+    finalists: int = 8  # settings that are tried on all of them
+
+
+@dataclass(frozen=True)
 class _RetrievalSettings:
     """Place recognition by global descriptors."""
 
@@ -225,7 +241,7 @@ class _SmootherSettings:
 
 
 BELIEF, ERROR_MODEL, NOVELTY = _BeliefSettings(), _ErrorModelSettings(), _NoveltySettings()
-RETRIEVAL = _RetrievalSettings()
+NEIGHBOURS, RETRIEVAL = _NeighbourSettings(), _RetrievalSettings()
 PNP, GUIDING = _PnpSettings(), _GuidingSettings()
 MAPPING = _MappingSettings()
 OVERLAP = _OverlapSettings()

@@ -108,7 +108,7 @@ class ModelConfig:
     used: float | None = None
     calibrate_on: Calibration = Calibration.AUTO
     novelty_level: float | None = None
-    sources: tuple[str, ...] = ("head", "landmarks")
+    sources: tuple[str, ...] = ("head", "neighbours", "landmarks")
     network: str = "efficientnet_lite0"
     device: str = "auto"
     runtime: Runtime = Runtime.ONNX

@@ -179,7 +179,7 @@ class PoseSource(Protocol):
         ...
 
 
-_BUILT_IN = {"head": ".head", "landmarks": ".landmarks"}
+_BUILT_IN = {"head": ".head", "neighbours": ".neighbours", "landmarks": ".landmarks"}
 _KINDS: dict[str, type[PoseSource]] = {}
 
 

@@ -1,0 +1,307 @@
+"""The pose source by locally linear regression (Cleveland 1979) among similar training frames, one answer per place.
+
+Among a few frames that look alike, targets are nearly linear in features. Frames that look alike may come from several
+places: neighbours are clustered by their targets first, and each cluster gets a regression, so that no answer is the
+mean of two places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from typing import ClassVar, Self
+
+import numpy as np
+
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, Rows, evenly_spread
+from conformodal.core.progress import Progress, stage_of
+from conformodal.features.backbone import feature_views
+from conformodal.features.projection import Projection, fit_projection
+from conformodal.geometry import angle_between_quats, normalise_quat
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.measurement import ErrorModel, HeldOutErrors, PoseMeasurement, fit_error_model
+from conformodal.localizer.settings import NEIGHBOURS
+
+from .registry import SourceAnswer, SourceData, SourceState, register_source
+
+_CHUNK = 256  # queries at once: their neighbours' features are copied
+
+
+@dataclass(frozen=True)
+class LocalSettings:
+    """Settings of the regression."""
+
+    components: int  # leading principal components of the features
+    neighbours: int  # samples of one regression
+    ridge: float  # penalty on the slope, in units of the neighbours' spread
+    radius: float | None  # of a place, in units of the targets' spread; None takes all neighbours for one place
+
+
+# Few components far from the references, many close to them.
+CHOICES = tuple(LocalSettings(*c) for c in product((16, 64, 256), (10, 20), (0.003, 0.03), (None, 0.5)))
+
+
+@dataclass(frozen=True, eq=False)
+class LocalAnswers(Rows):
+    """Estimates for m queries, one for each of up to P places."""
+
+    values: FloatArray  # (m, P, d) targets
+    weights: FloatArray  # (m, P) that sum to one; 0 for places that a query does not have
+    novelty: FloatArray  # (m,) distance in features from a query to the span of its neighbours at the nearest place
+
+
+@dataclass(frozen=True, eq=False)
+class LocalRegression:
+    """Local regression among n reference samples."""
+
+    projection: Projection
+    references: Float32Array  # (n, k) projected features
+    targets: FloatArray  # (n, d)
+    target_scale: FloatArray  # (d,) units of distances between targets
+    settings: LocalSettings
+
+    def predict(self, queries: Float32Array, hidden: BoolArray | None = None) -> LocalAnswers:
+        """Estimates for projected features (m, k), m > 0; `hidden` (m, n) are references that a query must not see."""
+        chunks = [slice(a, a + _CHUNK) for a in range(0, len(queries), _CHUNK)]
+        return LocalAnswers.concatenate(
+            [
+                self._answer(queries[rows].astype(np.float64), None if hidden is None else hidden[rows])
+                for rows in chunks
+            ]
+        )
+
+    def slim(self) -> LocalRegression:
+        """The same regression without the components that its settings do not use."""
+        k = min(self.settings.components, self.references.shape[1])
+        projection = replace(self.projection, components=np.ascontiguousarray(self.projection.components[:, :k]))
+        return replace(self, projection=projection, references=np.ascontiguousarray(self.references[:, :k]))
+
+    def _answer(self, queries: FloatArray, hidden: BoolArray | None) -> LocalAnswers:
+        how = self.settings
+        one_place = how.radius is None
+        queries, references = queries[:, : how.components], self.references[:, : how.components].astype(np.float64)
+        square = (references**2).sum(axis=1) - 2 * queries @ references.T + (queries**2).sum(axis=1)[:, None]
+        square = np.maximum(square, 0)
+        if hidden is not None:
+            square[hidden] = np.inf
+        crowd = min(how.neighbours * (1 if one_place else NEIGHBOURS.retrieved), len(references))
+        near = np.argpartition(square, crowd - 1, axis=1)[:, :crowd]
+        near = np.take_along_axis(near, np.argsort(np.take_along_axis(square, near, axis=1), axis=1), axis=1)
+        square = np.take_along_axis(square, near, axis=1)
+        visible = np.isfinite(square)
+        square = np.where(visible, square, 0)
+        reach = square[:, : how.neighbours].max(axis=1, keepdims=True)
+        kernel = np.where(visible, np.exp(-NEIGHBOURS.decay * square / np.maximum(reach, 1e-12)), 0)
+        place = np.zeros_like(near) if one_place else self._places(near, visible)
+        n_places = 1 if one_place else NEIGHBOURS.places
+        values = np.zeros((len(queries), n_places, self.targets.shape[1]))
+        weights, novelty = np.zeros((len(queries), n_places)), np.zeros(len(queries))
+        for p in range(n_places):
+            share = np.where(place == p, kernel, 0)
+            share[np.cumsum(share > 0, axis=1) > how.neighbours] = 0
+            weights[:, p] = share.sum(axis=1)
+            rows = np.flatnonzero(weights[:, p] > 0) if p else np.arange(len(queries))  # most have one place or two
+            first = np.argsort(share[rows] == 0, axis=1, kind="stable")[:, : how.neighbours]
+            chosen = np.take_along_axis(near[rows], first, axis=1)
+            share = np.take_along_axis(share[rows], first, axis=1)
+            values[rows, p], distance = _ridge(
+                references[chosen], self.targets[chosen], share, queries[rows], how.ridge
+            )
+            if p == 0:  # the place of the nearest neighbour
+                novelty = distance
+        total = weights.sum(axis=1, keepdims=True)
+        return LocalAnswers(values, weights / np.where(total > 0, total, 1), novelty)
+
+    def _places(self, near: IntArray, visible: BoolArray) -> IntArray:
+        """(m, crowd) place of each neighbour, below 0 for none: the nearest one without a place starts the next."""
+        where = self.targets[near] / self.target_scale
+        place = np.where(visible, -1, -2)
+        for p in range(NEIGHBOURS.places):
+            leader = np.argmax(place == -1, axis=1)
+            far = np.linalg.norm(where - np.take_along_axis(where, leader[:, None, None], axis=1), axis=2)
+            place[(far < self.settings.radius) & (place == -1)] = p
+        return place
+
+
+def _ridge(
+    x: FloatArray, y: FloatArray, weights: FloatArray, queries: FloatArray, ridge: float
+) -> tuple[FloatArray, FloatArray]:
+    """Weighted ridge regressions of y (m, N, d) on x (m, N, k) at queries (m, k), and the queries' distances (m,)."""
+    total = weights.sum(axis=1, keepdims=True)
+    share = (weights / np.where(total > 0, total, 1))[:, :, None]
+    centre, middle = (share * x).sum(axis=1), (share * y).sum(axis=1)
+    root = np.sqrt(share)
+    a, b = (x - centre[:, None]) * root, (y - middle[:, None]) * root
+    offset = queries - centre
+    gram = a @ a.transpose(0, 2, 1)
+    n = gram.shape[1]
+    spread = np.trace(gram, axis1=1, axis2=2) / n
+    gram[:, np.arange(n), np.arange(n)] += (ridge * spread + 1e-12)[:, None]
+    cross = (a @ offset[:, :, None])[:, :, 0]
+    solved = np.linalg.solve(gram, np.concatenate((b, cross[:, :, None]), axis=2))
+    values = middle + np.einsum("mn,mnd->md", cross, solved[:, :, :-1])
+    square = (offset**2).sum(axis=1) - (cross * solved[:, :, -1]).sum(axis=1)
+    return values, np.sqrt(np.maximum(square, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Estimates of samples by a local regression that could not see their group."""
+
+    regression: LocalRegression
+    rows: IntArray  # (m,) of the samples
+    answers: LocalAnswers
+
+
+def fit_local(
+    features: Float32Array,
+    targets: FloatArray,
+    groups: IntArray,
+    *,
+    choices: Sequence[LocalSettings] = CHOICES,
+    views: Sequence[slice] = (slice(None),),
+    progress: Progress | None = None,
+) -> LeftOut:
+    """The regression under which samples are most probable when their group (n,) is left out, with these estimates.
+
+    The likelihood is that of a multivariate t distribution with one degree of freedom around each place, its scale
+    fitted to the settings, so that outliers do not decide. Each choice is tried with each view of the features on some
+    samples, and the best of them on more.
+    """
+    rows, scale = evenly_spread(len(features), NEIGHBOURS.left_out), _target_scale(targets)
+    regressions = []
+    for view in views:
+        projection = fit_projection(features, max(how.components for how in choices), view)
+        if projection.components.ndim == 2:  # otherwise all the same in this view
+            references = projection.apply(features)
+            regressions += [LocalRegression(projection, references, targets, scale, how) for how in choices]
+
+    def left_out(regression: LocalRegression, rows: IntArray) -> LeftOut:
+        hidden = groups[rows][:, None] == groups
+        return LeftOut(regression, rows, regression.predict(regression.references[rows], hidden))
+
+    some, likelihoods = rows[:: -(-len(rows) // NEIGHBOURS.screened)], []
+    for k, regression in enumerate(regressions):
+        likelihoods.append(_log_likelihood(left_out(regression, some)))
+        if progress is not None:
+            progress(k + 1, len(regressions))
+    best = np.argsort(-np.array(likelihoods), kind="stable")[: NEIGHBOURS.finalists]
+    return max((left_out(regressions[k], rows) for k in best.tolist()), key=_log_likelihood)
+
+
+def _log_likelihood(left_out: LeftOut) -> float:
+    answers, targets = left_out.answers, left_out.regression.targets[left_out.rows]
+    d = targets.shape[1]
+    miss = (((answers.values - targets[:, None]) / left_out.regression.target_scale) ** 2).sum(axis=2)
+    nearest = np.where(answers.weights > 0, miss, np.inf).min(axis=1)
+    square = max(float(np.median(nearest)), 1e-12)
+    for _ in range(20):  # the likeliest scale, by fixed point
+        square = max((d + 1) / d * float(np.mean(nearest / (1 + nearest / square))), 1e-12)
+    density = (answers.weights * (1 + miss / square) ** (-(d + 1) / 2)).sum(axis=1)
+    return float(np.mean(np.log(density + 1e-300)) - d / 2 * np.log(square))
+
+
+@register_source
+@dataclass(frozen=True, eq=False)
+class NeighbourSource:
+    """A local regression among `frames` (m,), and its errors on frames that were left out."""
+
+    name: ClassVar[str] = "neighbours"
+    local: ClassVar[bool] = False
+
+    regression: LocalRegression
+    frames: IntArray
+    typical: float  # median novelty of left-out frames
+    limit: float  # its upper end
+    errors: ErrorModel  # as a function of novelty
+
+    @classmethod
+    def fit(cls, data: SourceData, frames: IntArray) -> Self | None:
+        """Choose the settings of the regression by leaving pieces out; None where there is only one piece."""
+        features, targets, pieces = data.features[frames], data.targets[frames], data.pieces[frames]
+        if len(np.unique(pieces)) < 2 or not np.ptp(features, axis=0).any():
+            return None
+        views, report = feature_views(features.shape[1]), stage_of(data.progress, "neighbours")
+        left_out = fit_local(features, targets, pieces, views=views, progress=report)
+        answers, truth, regression = left_out.answers, targets[left_out.rows], left_out.regression
+        typical = max(float(np.median(answers.novelty)), 1e-9)
+        novelty = _relative(answers, typical)
+        same_place = NEIGHBOURS.same_place * float(regression.target_scale[0])
+        offered = answers.weights >= NEIGHBOURS.least_weight
+        values = np.where(offered[:, :, None], answers.values, truth[:, None])
+        off = np.linalg.norm(values[:, :, :3] - truth[:, None, :3], axis=2)
+        angle = angle_between_quats(values[:, :, 3:], truth[:, None, 3:])
+        apart = np.where(offered, off / same_place + angle, np.inf)
+        nearest = np.arange(len(off)), apart.argmin(axis=1)
+        unmeasured, alike = np.zeros(len(off)), np.ones(len(off))
+        errors = fit_error_model(
+            HeldOutErrors(off[nearest], novelty, angle[nearest], novelty, unmeasured, 1 / novelty[:, None], alike),
+            same_place,
+        )
+        limit = max(float(np.quantile(answers.novelty, NEIGHBOURS.usual)), typical)
+        return None if errors is None else cls(regression.slim(), frames, typical, limit, errors)
+
+    def answer(self, evidence: FrameEvidence) -> SourceAnswer:
+        """One estimate per place that the nearest frames come from."""
+        if not len(evidence.features):
+            return SourceAnswer()
+        answers = self.regression.predict(self.regression.projection.apply(evidence.features))
+        novelty = _relative(answers, self.typical)
+        rows = zip(answers.values, answers.weights, novelty.tolist(), strict=True)
+        return SourceAnswer(measurements=[self._measurements(*row) for row in rows])
+
+    def _measurements(self, values: FloatArray, weights: FloatArray, novelty: float) -> list[PoseMeasurement]:
+        measurements, beyond = [], max(novelty * self.typical / self.limit, 1.0)
+        for k in np.flatnonzero(weights >= NEIGHBOURS.least_weight):
+            orientation = normalise_quat(values[k, 3:])
+            raw = PoseMeasurement(values[k, :3], orientation, novelty, novelty, self.regression.settings.neighbours)
+            one = self.errors.apply(raw, 1 / novelty)
+            # weights are shares of one answer: with more places it is not more probable that all are wrong
+            odds = one.inlier_probability / (1 - one.inlier_probability) * beyond**-NEIGHBOURS.distrust
+            odds *= float(weights[k])
+            sigmas = {"sigma_m": one.sigma_m * beyond, "sigma_rad": one.sigma_rad * beyond}
+            measurements.append(replace(one, inlier_probability=odds / (1 + odds), **sigmas))
+        return measurements
+
+    def state(self) -> SourceState:
+        """Arrays of the regression, and its settings."""
+        regression = self.regression
+        arrays = {
+            "frames": self.frames,
+            "offset": regression.projection.offset,
+            "components": regression.projection.components,
+            "references": regression.references,
+            "targets": regression.targets,
+            "target_scale": regression.target_scale,
+        }
+        numbers = {"typical": self.typical, "limit": self.limit}
+        return SourceState(
+            arrays, {"regression": asdict(regression.settings), "errors": asdict(self.errors), **numbers}
+        )
+
+    @classmethod
+    def from_state(cls, state: SourceState) -> Self:
+        """The source that was stored."""
+        arrays, settings = state.arrays, state.settings
+        regression = LocalRegression(
+            Projection(arrays["offset"], arrays["components"]),
+            arrays["references"],
+            arrays["targets"],
+            arrays["target_scale"],
+            LocalSettings(**settings["regression"]),
+        )
+        errors = ErrorModel.from_json(settings["errors"])
+        return cls(regression, arrays["frames"], float(settings["typical"]), float(settings["limit"]), errors)
+
+
+def _target_scale(targets: FloatArray) -> FloatArray:
+    """Units (7,) in which targets (n, 7) are compared: the spread of all positions, and that of all orientations."""
+    variance = targets.var(axis=0)
+    spread = np.sqrt([variance[:3].sum()] * 3 + [variance[3:].sum()] * 4)
+    return np.asarray(np.maximum(spread, 1e-6))
+
+
+def _relative(answers: LocalAnswers, typical: float) -> FloatArray:
+    """(n,) novelty in units of what is typical."""
+    return np.maximum(answers.novelty / typical, 1e-3)
