@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -46,56 +48,54 @@ class BagWriter:
 
     def __init__(self, path: Path, how: Conventions | None = None, *, images: bool = False) -> None:
         with require_extra("ros", "a recording of ROS messages"):
-            from rosbags.rosbag2 import (  # noqa: PLC0415 - an extra
-                CompressionFormat,
-                CompressionMode,
-                StoragePlugin,
-                Writer,
-            )
+            from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer  # noqa: PLC0415
             from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
         self.path, self.how = path, how or Conventions()
         self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
         self._conversion = Conversion(self.how)
         self._recording: int | None = None
         self._last_ns: int | None = None
-        self._images, self._types = images, {**TOPICS, **TRUTH, **(IMAGE if images else {})}
-        self._closed = False
-        try:
+        self._images, self._closed = images, False
+        self._types = {**TOPICS, **TRUTH, **(IMAGE if images else {})}
+        with self._naming_errors():
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._apart = tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent)
-            self._folder = Path(self._apart.name) / "bag"
+            self._scratch = tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent)
+            self._folder = Path(self._scratch.name) / "bag"
             self._writer: Any = Writer(self._folder, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
-        except OSError as exc:
-            raise RosError(f"{path}: cannot be written: {exc}") from exc
         self._connections = {
             name: self._writer.add_connection(self.how.topic(name), kind, typestore=self._store)
             for name, kind in self._types.items()
         }
 
+    @contextmanager
+    def _naming_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as exc:
+            raise RosError(f"{self.path}: cannot be written: {exc}") from exc
+
     def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
         """Write a frame and its estimate; `truth` is a trajectory of one pose, or None."""
+        conversion = self._conversion
         if frame.recording != self._recording:
             self._write_path()
-            self._conversion.reset()
+            conversion.reset()
             self._recording = frame.recording
         stamp_ns = nanoseconds(estimate.timestamp_s)
-        conversion = self._conversion
-        found = conversion.messages(estimate, stamp_ns)
+        messages = conversion.messages(estimate, stamp_ns)
         if truth is not None:
-            found["truth"] = conversion.stamped(conversion.header(stamp_ns), conversion.poses(truth)[0])
+            messages["truth"] = conversion.stamped(stamp_ns, conversion.poses(truth)[0])
         if self._images and frame.image is not None:
-            _, data = cv2.imencode(
-                ".jpg", cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-            )
+            bgr = cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR)
+            data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].ravel()
+            ((name, kind),) = IMAGE.items()
             header = conversion.header(stamp_ns, self.how.camera_frame)
-            found["image/compressed"] = conversion.make(
-                IMAGE["image/compressed"], header=header, format="jpeg", data=data.ravel()
-            )
+            messages[name] = conversion.make(kind, header=header, format="jpeg", data=data)
         self._last_ns = stamp_ns
-        for name, message in found.items():
-            self._write(name, message, stamp_ns)
+        for name, message in messages.items():
+            self._write(name, message)
 
     def close(self) -> None:
         """Write the last path, and move the file to its place.
@@ -106,24 +106,21 @@ class BagWriter:
             return
         self._closed = True
         try:
-            self._write_path()
-            self._writer.close()
-            if self._last_ns is not None:
-                (written,) = self._folder.glob("*.mcap")
-                written.replace(self.path)
-        except OSError as exc:
-            raise RosError(f"{self.path}: cannot be written: {exc}") from exc
+            with self._naming_errors():
+                self._write_path()
+                self._writer.close()
+                if self._last_ns is not None:
+                    (written,) = self._folder.glob("*.mcap")
+                    written.replace(self.path)
         finally:
             self._writer.abort()
-            self._apart.cleanup()
+            self._scratch.cleanup()
 
     def _write_path(self) -> None:
         if self._last_ns is not None:
-            self._write("path", self._conversion.path(self._last_ns), self._last_ns)
+            self._write("path", self._conversion.path(self._last_ns))
 
-    def _write(self, name: str, message: Any, stamp_ns: int) -> None:
+    def _write(self, name: str, message: Any) -> None:
         data = self._store.serialize_cdr(message, self._types[name])
-        try:
-            self._writer.write(self._connections[name], stamp_ns, data)
-        except OSError as exc:
-            raise RosError(f"{self.path}: cannot be written: {exc}") from exc
+        with self._naming_errors():
+            self._writer.write(self._connections[name], self._last_ns, data)

@@ -24,39 +24,17 @@ class Covariance(StrEnum):
 
 @dataclass(frozen=True)
 class Conventions:
-    """Names of frames and topics, and limits.
+    """Names of frames and topics, and limits."""
 
-    Attributes
-    ----------
-    world_frame
-        The frame that poses are in: the world of the training poses.
-    camera_frame
-        Of images: x right, y down, z forward.
-    namespace
-        Of all topics.
-    covariance
-        Of the pose.
-    lost_variance
-        Of every coordinate of a lost frame, in m^2 and rad^2.
-    most_boxes
-        Largest number of boxes per region; those with the highest probability come first, then the nearest.
-    range_m
-        Boxes are cut off at this distance from the chosen position along each axis.
-    longest_path
-        Largest number of poses in the path.
-    path_every
-        The path is published once per this many answered frames.
-    """
-
-    world_frame: str = "map"
-    camera_frame: str = "camera_optical_frame"
-    namespace: str = "/conformodal"
+    world_frame: str = "map"  # of poses: the world of the training poses
+    camera_frame: str = "camera_optical_frame"  # of images: x right, y down, z forward
+    namespace: str = "/conformodal"  # of all topics
     covariance: Covariance = Covariance.MIXTURE
-    lost_variance: float = 1e6
-    most_boxes: int = 256
-    range_m: float = 100.0
-    longest_path: int = 1000
-    path_every: int = 10
+    lost_variance: float = 1e6  # of every coordinate of a lost frame, m^2 and rad^2
+    most_boxes: int = 256  # per region: those with the highest probability, then the nearest
+    range_m: float = 100.0  # where boxes are cut off, from the chosen position along each axis
+    longest_path: int = 1000  # poses
+    path_every: int = 10  # answered frames per published path
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", as_member(self.covariance, Covariance, "covariance", RosError))

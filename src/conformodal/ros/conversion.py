@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from array import array
 from collections import deque
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,14 +26,13 @@ from .messages import MakeMessage, make_header, make_pose, nanoseconds, rosbags_
 
 def pose_covariance(estimate: Estimate, kind: Covariance) -> FloatArray:
     """Covariance (6, 6) of an estimate's pose: :attr:`Estimate.covariance`, or that of the chosen place alone."""
-    kind = as_member(kind, Covariance, "covariance", RosError)
-    if kind is Covariance.MIXTURE:
+    if as_member(kind, Covariance, "covariance", RosError) is Covariance.MIXTURE:
         assert estimate.covariance is not None
         return estimate.covariance
     assert estimate.position_spread_m is not None
     assert estimate.orientation_spread_rad is not None
-    own = estimate.position_spread_m**2 / 3, estimate.orientation_spread_rad**2
-    return np.diag(np.maximum(np.repeat(own, 3), LEAST_VARIANCE))
+    variances = estimate.position_spread_m**2 / 3, estimate.orientation_spread_rad**2
+    return np.diag(np.maximum(np.repeat(variances, 3), LEAST_VARIANCE))
 
 
 _COLOURS = {"region": (86 / 255, 180 / 255, 233 / 255), "places": (0.0, 114 / 255, 178 / 255)}
@@ -42,22 +41,23 @@ _CUBE, _DELETE_ALL = 1, 3
 _OK, _WARN, _ERROR = 0, 1, 2
 
 
-def region_boxes(
-    estimate: Estimate, region: PoseRegions | None, how: Conventions
-) -> tuple[FloatArray, FloatArray, int]:
-    """Boxes (m, 3, 2) of a region's positions in metres, the probability (m,) of each, and the number of all boxes.
+class Boxes(NamedTuple):
+    """Boxes (m, 3, 2) of positions in metres, the probability (m,) of each, and the number of all boxes."""
 
-    A lost frame, whose region is unbounded, has none.
-    """
+    edges_m: FloatArray
+    probabilities: FloatArray
+    n_all: int
+
+
+def region_boxes(estimate: Estimate, region: PoseRegions | None, how: Conventions) -> Boxes:
+    """The boxes of a region's positions; a lost frame, whose region is unbounded, has none."""
     if is_lost(estimate) or region is None or estimate.pose is None:
-        return np.empty((0, 3, 2)), np.empty(0), 0
+        return Boxes(np.empty((0, 3, 2)), np.empty(0), 0)
     here = estimate.pose.positions_xyz[0][:, None]
     places = region.places(0)
-    boxes = [
-        np.clip(place.box[:3], here - how.range_m, here + how.range_m) for place in places if place.box is not None
-    ]
-    shares = np.array([place.probability for place in places])
-    return np.array(boxes).reshape(-1, 3, 2)[: how.most_boxes], shares[: how.most_boxes], len(places)
+    shown = [place for place in places if place.box is not None][: how.most_boxes]
+    edges = [np.clip(place.box[:3], here - how.range_m, here + how.range_m) for place in shown if place.box is not None]
+    return Boxes(np.reshape(edges, (-1, 3, 2)), np.array([place.probability for place in shown]), len(places))
 
 
 class Conversion:
@@ -73,7 +73,7 @@ class Conversion:
     def reset(self) -> None:
         """Forget the path: another recording begins."""
         self._path: deque[tuple[float, Any]] = deque(maxlen=self.how.longest_path)
-        self._lost: set[float] = set()
+        self._lost: deque[float] = deque(maxlen=self.how.longest_path)  # times
         self._n_answered = 0
 
     def messages(self, estimate: Estimate, stamp_ns: int | None = None) -> dict[str, Any]:
@@ -83,30 +83,30 @@ class Conversion:
         """
         stamp_ns = nanoseconds(estimate.timestamp_s) if stamp_ns is None else stamp_ns
         header = self.header(stamp_ns)
-        boxes, shares, total = region_boxes(estimate, estimate.region, self.how)
-        places = region_boxes(estimate, estimate.path_region, self.how)[:2]
-        found = {
+        region = region_boxes(estimate, estimate.region, self.how)
+        places = region_boxes(estimate, estimate.path_region, self.how)
+        messages = {
             "pose": self._pose(estimate, header),
             **self._candidates(estimate, header),
-            "region": self._region({"region": (boxes, shares), "places": places}, header),
-            "status": self._status(estimate, header, total, len(boxes)),
+            "region": self._region({"region": region, "places": places}, header),
+            "status": self._status(estimate, header, region),
         }
         if self._extend_path(estimate):
-            found["path"] = self.path(stamp_ns)
-        return found
+            messages["path"] = self.path(stamp_ns)
+        return messages
 
     def path(self, stamp_ns: int) -> Any:
         """The trajectory so far without lost frames, its last poses revised by what followed."""
-        poses = [self.stamped(self.header(nanoseconds(time_s)), pose) for time_s, pose in self._path]
+        poses = [self.stamped(nanoseconds(time_s), pose) for time_s, pose in self._path]
         return self.make("nav_msgs/msg/Path", header=self.header(stamp_ns), poses=poses)
 
     def header(self, stamp_ns: int, frame: str | None = None) -> Any:
         """A header, by default in the world's frame."""
         return make_header(self.make, stamp_ns, self.how.world_frame if frame is None else frame)
 
-    def stamped(self, header: Any, pose: Any) -> Any:
-        """A pose with a header."""
-        return self.make("geometry_msgs/msg/PoseStamped", header=header, pose=pose)
+    def stamped(self, stamp_ns: int, pose: Any) -> Any:
+        """A pose with a time."""
+        return self.make("geometry_msgs/msg/PoseStamped", header=self.header(stamp_ns), pose=pose)
 
     def poses(self, of: Trajectory | Candidates) -> list[Any]:
         """Messages of poses."""
@@ -114,60 +114,50 @@ class Conversion:
         return [make_pose(self.make, position, quat) for position, quat in pairs]
 
     def _pose(self, estimate: Estimate, header: Any) -> Any:
-        if is_lost(estimate) or estimate.pose is None:
-            pose, covariance = make_pose(self.make), np.eye(6) * self.how.lost_variance
-        else:
+        pose, covariance = make_pose(self.make), np.eye(6) * self.how.lost_variance
+        if not is_lost(estimate) and estimate.pose is not None:
             pose, covariance = self.poses(estimate.pose)[0], pose_covariance(estimate, self.how.covariance)
         inner = self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())
         return self.make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header, pose=inner)
 
     def _candidates(self, estimate: Estimate, header: Any) -> dict[str, Any]:
         """Candidate poses, most probable first, and their weights in the same order."""
-        found = None if is_lost(estimate) else estimate.candidates
-        poses = [] if found is None else self.poses(found)
-        weights = np.empty(0) if found is None else weights_of(found)
-        n = len(poses)
-        axis = self.make("std_msgs/msg/MultiArrayDimension", label="candidate", size=n, stride=n)
+        poses, weights = list[Any](), array("d")
+        if not is_lost(estimate) and estimate.candidates is not None:
+            poses, weights = self.poses(estimate.candidates), array("d", weights_of(estimate.candidates).tolist())
+        axis = self.make("std_msgs/msg/MultiArrayDimension", label="candidate", size=len(poses), stride=len(poses))
         layout = self.make("std_msgs/msg/MultiArrayLayout", dim=[axis])
-        data = array("d", weights.tolist())
         return {
             "candidates": self.make("geometry_msgs/msg/PoseArray", header=header, poses=poses),
-            "candidate_weights": self.make("std_msgs/msg/Float64MultiArray", layout=layout, data=data),
+            "candidate_weights": self.make("std_msgs/msg/Float64MultiArray", layout=layout, data=weights),
         }
 
-    def _region(self, named: dict[str, tuple[FloatArray, FloatArray]], header: Any) -> Any:
+    def _region(self, by_name: dict[str, Boxes], header: Any) -> Any:
         """Boxes to draw, more opaque with higher probability; first an order to remove the previous frame's."""
-        marker = "visualization_msgs/msg/Marker"
-        first = self.make(marker, header=header, type=_CUBE, action=_DELETE_ALL, pose=make_pose(self.make))
-        markers = [first]
-        for name, (boxes, shares) in named.items():
-            for number, (box, share) in enumerate(zip(boxes, shares, strict=True)):
-                opacity = _FAINTEST + (_FULLEST - _FAINTEST) * float(share)
+        kind = "visualization_msgs/msg/Marker"
+        markers = [self.make(kind, header=header, type=_CUBE, action=_DELETE_ALL, pose=make_pose(self.make))]
+        for name, boxes in by_name.items():
+            for number, (box, probability) in enumerate(zip(boxes.edges_m, boxes.probabilities, strict=True)):
+                opacity = _FAINTEST + (_FULLEST - _FAINTEST) * float(probability)
                 colour = dict(zip("rgba", (*_COLOURS[name], opacity), strict=True))
                 size = dict(zip("xyz", np.ptp(box, axis=1).tolist(), strict=True))
-                markers.append(
-                    self.make(
-                        marker,
-                        header=header,
-                        ns=name,
-                        id=number,
-                        type=_CUBE,
-                        pose=make_pose(self.make, box.mean(axis=1)),
-                        scale=self.make("geometry_msgs/msg/Vector3", **size),
-                        color=self.make("std_msgs/msg/ColorRGBA", **colour),
-                    )
-                )
+                marker = {
+                    "pose": make_pose(self.make, box.mean(axis=1)),
+                    "scale": self.make("geometry_msgs/msg/Vector3", **size),
+                    "color": self.make("std_msgs/msg/ColorRGBA", **colour),
+                }
+                markers.append(self.make(kind, header=header, ns=name, id=number, type=_CUBE, **marker))
         return self.make("visualization_msgs/msg/MarkerArray", markers=markers)
 
-    def _status(self, estimate: Estimate, header: Any, n_boxes: int, n_shown: int) -> Any:
+    def _status(self, estimate: Estimate, header: Any, region: Boxes) -> Any:
         """An error for a lost frame, a warning where motion could not be used."""
         motion = estimate.relative_motion
         pairs = {
             "evidence": "none" if estimate.evidence is None else estimate.evidence.name.lower(),
             "known_p": "" if estimate.known_p is None else f"{estimate.known_p:.6g}",
             "motion": "none" if motion is None else str(motion.status),
-            "boxes": str(n_boxes),
-            "boxes_shown": str(n_shown),
+            "boxes": str(region.n_all),
+            "boxes_shown": str(len(region.edges_m)),
         }
         status = self.make(
             "diagnostic_msgs/msg/DiagnosticStatus",
@@ -183,12 +173,10 @@ class Conversion:
         if estimate.pose is None:
             return False
         if is_lost(estimate):
-            self._lost.add(estimate.timestamp_s)
+            self._lost.append(estimate.timestamp_s)
         due = self._n_answered % self.how.path_every == 0
         revised = (estimate.revised if due else None) or estimate.pose  # hindsight takes time
         first = float(revised.timestamps_s[0])
-        if due:
-            self._lost = {time_s for time_s in self._lost if time_s >= first}
         while self._path and self._path[-1][0] >= first:
             self._path.pop()
         for time_s, pose in zip(revised.timestamps_s.tolist(), self.poses(revised), strict=True):

@@ -20,7 +20,7 @@ from conformodal.core.extras import MissingPackageError
 from conformodal.core.ranges import as_member
 from conformodal.geometry.lens import Fisheye
 from conformodal.io.streams.frames import SourceError
-from conformodal.io.streams.ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of, key_of_info
+from conformodal.io.streams.ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of, key_of_info, stamp_s
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimates import Estimate
 from conformodal.pipeline.estimator import Odometry
@@ -68,7 +68,7 @@ class PoseNode:
         self._conversion = Conversion(how, make_message)
         self._kind = COMPRESSED if compressed else RAW
         self._last_s: float | None = None
-        self._seen_ns: int | None = None
+        self._answered_ns: int | None = None
         self._camera = ""  # as it was last published
         self._refused = ""
         odometry.reset()
@@ -89,10 +89,10 @@ class PoseNode:
             return
         self._camera, before = camera, self._refused
         try:
-            found = camera_of_info(message, "camera_info", self._topic)
-            if isinstance(found, Fisheye):
+            lens = camera_of_info(message, "camera_info", self._topic)
+            if isinstance(lens, Fisheye):
                 raise SourceError(f"camera_info: lens {message.distortion_model}, expected undistorted images")
-            self.odometry.model.check_camera(found)
+            self.odometry.model.check_camera(lens)
             self._refused = ""
             if before:
                 self._log.info("the camera is the model's again")
@@ -102,27 +102,27 @@ class PoseNode:
 
     def on_image(self, message: Any) -> None:
         """Answer an image, with messages that have its time."""
-        stamp = message.header.stamp
-        stamp_ns = stamp.sec * NANOSECONDS + stamp.nanosec
-        time_s = stamp.sec + stamp.nanosec / NANOSECONDS
+        time_s = stamp_s(message)
         if not self._is_new(time_s):
             return
-        self._publish(self._answer(message, time_s), stamp_ns)
-        self._seen_ns = self._node.get_clock().now().nanoseconds
-
-    def _answer(self, message: Any, time_s: float) -> Estimate:
         if self._refused:
-            return _lost(time_s, self._refused)
-        try:
-            image = image_of(message, self._kind)
-        except ValueError as exc:
-            return replace(self.odometry.step(None, time_s), problem=str(exc))
-        return self.odometry.step(image, time_s)
+            estimate = _lost(time_s, self._refused)
+        else:
+            image, problem = None, ""
+            try:
+                image = image_of(message, self._kind)
+            except ValueError as exc:
+                problem = str(exc)
+            estimate = self.odometry.step(image, time_s)
+            estimate = replace(estimate, problem=problem) if problem else estimate
+        stamp = message.header.stamp
+        self._publish(estimate, stamp.sec * NANOSECONDS + stamp.nanosec)
+        self._answered_ns = self._node.get_clock().now().nanoseconds
 
     def on_time(self) -> None:
         """Publish that the pose is lost when no image comes."""
         now_ns = self._node.get_clock().now().nanoseconds
-        if self._seen_ns is not None and 0 <= now_ns - self._seen_ns < self._silent_s * NANOSECONDS:
+        if self._answered_ns is not None and 0 <= now_ns - self._answered_ns < self._silent_s * NANOSECONDS:
             return
         self._publish(_lost(now_ns / NANOSECONDS, f"no image for {self._silent_s:g} s"), now_ns)
 
@@ -176,14 +176,14 @@ def _lost(time_s: float, problem: str) -> Estimate:
 
 def _parameters_of(node: Any) -> Parameters:
     """Declare the parameters and read what was given."""
-    given = {name: node.declare_parameter(name, value).value for name, value in vars(Parameters()).items()}
-    found = Parameters(**given)
-    if not found.model:
+    defaults = vars(Parameters())
+    given = Parameters(**{name: node.declare_parameter(name, value).value for name, value in defaults.items()})
+    if not given.model:
         raise RosError("parameter model must name the folder of a saved model: --ros-args -p model:=MODEL")
-    as_member(found.covariance, Covariance, "parameter covariance", RosError)
-    if not found.silent_s > 0:
-        raise RosError(f"parameter silent_s must be more than 0 s, got {found.silent_s}")
-    return found
+    as_member(given.covariance, Covariance, "parameter covariance", RosError)
+    if not given.silent_s > 0:
+        raise RosError(f"parameter silent_s must be more than 0 s, got {given.silent_s}")
+    return given
 
 
 def main(arguments: list[str] | None = None) -> int:

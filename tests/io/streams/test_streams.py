@@ -115,23 +115,6 @@ def test_pixels_that_are_not_square_are_told(tmp_path):
     assert "4:3; intrinsics must be those of the pixels" in dict(open_stream(path).notes)["pixels are not square"]
 
 
-@pytest.mark.parametrize(
-    "head", [b"ffconcat version 1.0\nfile 'v.mp4'\n", b"v=0\nm=video 5004 RTP/AVP 96\n", b"v=0\xff\xfe\0\1"]
-)
-def test_a_list_of_other_files_is_no_video(tmp_path, head):
-    mp4(tmp_path / "v.mp4")
-    (tmp_path / "list").write_bytes(head)
-    with pytest.raises(SourceError, match="list: is a list of other files"):
-        open_stream(tmp_path / "list")
-
-
-def test_an_animation_that_cannot_be_decoded_is_no_video(tmp_path):
-    frames = [Image.new("RGB", SIZE, (20 * i, 0, 0)) for i in range(3)]
-    frames[0].save(tmp_path / "v.webp", save_all=True, append_images=frames[1:])
-    with pytest.raises(SourceError, match=r"v\.webp: holds no frame that can be decoded"):
-        list(open_stream(tmp_path / "v.webp"))
-
-
 def timed(path, runs, length_ms):
     """An MP4 file of runs of frames, each with the number of frames and the steps of 0.1 s between them."""
     content = mp4(path)
@@ -156,17 +139,6 @@ def test_a_frame_with_the_time_of_the_one_before_follows_it(tmp_path):
     assert len(times) == 30
     assert (np.diff(times) > 0).all()
     assert times[11] == pytest.approx(3.0, abs=2e-3)
-
-
-def test_images_of_another_size_without_a_camera_are_refused_at_opening(tmp_path):
-    camera = PinholeCamera(40, 40, 32, 24, 64, 48)
-    assert open_stream(video(tmp_path / "v.avi"), camera=camera).camera == camera
-    path = video(tmp_path / "w.avi", size=(128, 96))
-    with pytest.raises(SourceError, match=r"w\.avi: has images of 128x96 pixels .* 64x48\. Give its camera"):
-        open_stream(path, camera=camera)
-    bag = write_bag(tmp_path / "a", "mcap", with_info=False)
-    with pytest.raises(SourceError, match=r"64x48 pixels and no calibration"):
-        open_stream(bag, camera=PinholeCamera(40, 40, 64, 48, 128, 96))
 
 
 def test_frames_of_a_variable_rate_have_their_own_times(tmp_path):
@@ -202,19 +174,11 @@ def test_a_video_that_is_turned_says_so(tmp_path):
     [((-1, 0, 0, 1), "mirrored"), ((0, 1, 1, 0), "mirrored"), ((0.707, 0.707, -0.707, 0.707), "turned by 45 degrees")],
 )
 def test_a_video_that_is_shown_mirrored_or_aslant_is_refused(tmp_path, matrix, how):
+    if how == "mirrored":  # the whole movie
+        with pytest.raises(SourceError, match=how):
+            open_stream(shown_by(tmp_path / "v.mp4", *matrix, header=b"mvhd", at=40))
     with pytest.raises(SourceError, match=rf"v\.mp4: its metadata says that pictures are shown {how}, and only"):
         open_stream(shown_by(tmp_path / "v.mp4", *matrix))
-
-
-def test_a_whole_movie_may_be_shown_mirrored(tmp_path):
-    with pytest.raises(SourceError, match="mirrored"):
-        open_stream(shown_by(tmp_path / "v.mp4", 1, 0, 0, -1, header=b"mvhd", at=40))
-
-
-def test_what_is_no_video_is_named(tmp_path):
-    (tmp_path / "v.avi").write_bytes(b"nothing")
-    with pytest.raises(SourceError, match=r"v\.avi: cannot be opened"):
-        open_stream(tmp_path / "v.avi")
 
 
 class FakeCapture:
@@ -249,17 +213,12 @@ def test_a_camera_that_vanishes_is_named_and_what_it_gave_is_kept(monkeypatch):
     assert len(frames) == 3
 
 
-def test_a_camera_that_is_not_there_is_named():
-    with pytest.raises(SourceError, match="camera 97: cannot be opened"):
-        list(CameraStream(97))
-
-
 # ROS recordings, written by rosbags' own writers
 
 rosbags = pytest.importorskip("rosbags")
 
 
-def messages(store, *, encoding="bgr8", header_times=None, compressed=False):
+def messages(store, *, encoding="bgr8", header_times=None, compressed=False, form="png"):
     """Six images with blue rising, half a second apart, and one CameraInfo."""
     types = store.types
     header, stamp = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
@@ -272,8 +231,8 @@ def messages(store, *, encoding="bgr8", header_times=None, compressed=False):
         image = np.zeros((48, 64, channels), np.uint8)
         image[..., 0] = 40 * i
         if compressed:
-            data = cv2.imencode(".png", image)[1].ravel()
-            found.append((head, types["sensor_msgs/msg/CompressedImage"](header=head, format="png", data=data)))
+            data = cv2.imencode(".png", image)[1].ravel() if form == "png" else np.arange(99, dtype=np.uint8)
+            found.append((head, types["sensor_msgs/msg/CompressedImage"](header=head, format=form, data=data)))
         else:
             padded = np.zeros((48, 64 * channels + 8), np.uint8)  # rows may be padded
             padded[:, : 64 * channels] = image.reshape(48, -1)
@@ -345,15 +304,6 @@ def test_ros_recordings_of_every_kind(tmp_path, kind):
         assert len(list(open_stream(alone))) == 6
 
 
-@pytest.mark.parametrize(
-    ("options", "channel"),
-    [({"encoding": "rgb8"}, 0), ({"encoding": "mono8"}, 1), ({"compressed": True}, 2), ({"encoding": "bgr8"}, 2)],
-)
-def test_encodings(tmp_path, options, channel):
-    frames = list(open_stream(write_bag(tmp_path / "a", "sqlite", image_options=options)))
-    assert [int(f.image[5, 5, channel]) for f in frames] == [40 * i for i in range(6)]
-
-
 def message(image, encoding, *, big=0, pad=6):
     """A raw image message of an array (rows, width, n), with padded rows."""
     rows = image.reshape(len(image), -1).view(np.uint8)
@@ -373,6 +323,8 @@ def in_encoding(rgb, encoding):
         tile = np.array([{"r": r, "g": g, "b": b}[c] for c in encoding.split("_")[1][:4]], np.uint16).reshape(2, 2)
         tiled = np.tile(tile, (h // 2, w // 2))[..., None]
         return (tiled * 257) if encoding.endswith("16") else tiled.astype(np.uint8)
+    if encoding.lower() in ("rgb8", "bgr8", "8uc3"):
+        return rgb if encoding.lower() == "rgb8" else rgb[:, :, ::-1].copy()
     if encoding.endswith("16"):
         return rgb.astype(np.uint16)[:, :, :: -1 if encoding.startswith("b") else 1] * 257
     y, u, v = 16 + (66 * r + 129 * g + 25 * b) / 256, 128 + (-38 * r - 74 * g + 112 * b) / 256, 0
@@ -387,20 +339,13 @@ def in_encoding(rgb, encoding):
 
 @pytest.mark.parametrize(
     "encoding",
-    ["rgb16", "bgr16", "yuv422", "uyvy", "yuv422_yuy2", "yuyv", "nv12", "nv21"]
+    ["rgb8", "RGB8", "bgr8", "8UC3", "rgb16", "bgr16", "yuv422", "uyvy", "yuv422_yuy2", "yuyv", "nv12", "nv21"]
     + [f"bayer_{order}{bits}" for order in ("rggb", "bggr", "gbrg", "grbg") for bits in (8, 16)],
 )
 def test_a_colour_is_the_same_in_every_encoding(encoding):
     found = image_of(message(in_encoding(RED, encoding), encoding), RAW, 65535)
     assert found.shape == RED.shape
     np.testing.assert_allclose(found[2:-2, 2:-2].astype(int), RED[2:-2, 2:-2].astype(int), atol=3)
-
-
-@pytest.mark.parametrize("step", [0, 12])
-def test_rows_without_padding_need_no_length(step):
-    sent = message(RED, "rgb8", pad=0)
-    sent.step = step
-    np.testing.assert_array_equal(image_of(sent, RAW), RED)
 
 
 @pytest.mark.parametrize(("encoding", "width", "height"), [("nv12", 12, 7), ("nv21", 11, 8), ("yuyv", 11, 8)])
@@ -419,14 +364,6 @@ def test_grey_of_16_bits_is_scaled_by_the_bits_it_uses(big, white, bits):
     ramp = np.linspace(0, white, 48).astype(">u2" if big else "<u2").reshape(6, 8, 1)
     found = image_of(message(ramp, "mono16", big=big), RAW)
     np.testing.assert_allclose(found[..., 0].ravel(), np.linspace(0, 255, 48), atol=1)
-
-
-def test_an_encoding_that_is_not_known_is_refused_at_opening_with_those_that_are(tmp_path):
-    path = write_bag(tmp_path / "a", "sqlite", image_options={"encoding": "jpeg2000"})
-    with pytest.raises(
-        SourceError, match=r"/cam/image_raw: encoding jpeg2000 is none of .*bayer_rggb8.*nv12.*rgb8.*mono16"
-    ):
-        open_stream(path)
 
 
 K_INFO = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
@@ -476,13 +413,6 @@ def test_p_is_the_camera_where_k_and_d_are_zero(model, d):
     assert ("camera of CameraInfo", "info: P, as K and D are zero, without distortion") in notes
 
 
-@pytest.mark.parametrize("model", ["Plumb_Bob", "PLUMB_BOB ", "Brown Conrady"])
-def test_the_usual_lens_has_several_names(model):
-    assert camera_of_info(info(model=model), "info").distortion == (-0.1, 0.02, 0.001, 0.002, 0.0)
-    with pytest.raises(SourceError, match="inverse_brown_conrady"):
-        camera_of_info(info(model="Inverse Brown Conrady"), "info")
-
-
 def test_a_camera_info_without_a_size_is_of_the_images():
     message = info()
     message.width = message.height = 0
@@ -497,22 +427,6 @@ def test_a_rational_lens_without_its_denominator_is_a_plumb_bob():
     assert camera_of_info(info(model="rational_polynomial", d=(*lens, 0, 0, 0)), "info").distortion == lens
     with pytest.raises(SourceError, match="undistort"):
         camera_of_info(info(model="rational_polynomial", d=(*lens, 0.1, 0, 0)), "info")
-
-
-def test_images_smaller_than_their_camera_info_scale_it(tmp_path, monkeypatch):
-    made = camera_info
-
-    def larger(store, head):
-        message = made(store, head)
-        object.__setattr__(message, "width", 128)
-        object.__setattr__(message, "height", 96)
-        return message
-
-    monkeypatch.setitem(globals(), "camera_info", larger)
-    stream = open_stream(write_bag(tmp_path / "a", "sqlite"), camera=PinholeCamera(50, 50, 32, 24, 64, 48))
-    # the recording's own camera, not the one for recordings without
-    assert (stream.camera.fx, stream.camera.cx, stream.camera.width) == (20, 16, 64)
-    assert any("scaled" in what for what, _ in stream.notes)
 
 
 def ramp(width, height, scale):
@@ -690,28 +604,6 @@ def test_compressed_images_of_16_bits_and_mosaics_have_their_values():
     np.testing.assert_array_equal(done, RED)
 
 
-@pytest.mark.parametrize("form", ["h264", "16UC1; compressedDepth"])
-def test_compressed_images_that_cannot_be_decoded_are_refused_at_opening(tmp_path, monkeypatch, form):
-    made = messages
-
-    def other(store, **options):
-        found = made(store, **options, compressed=True)
-        for _, message in found:
-            object.__setattr__(message, "format", form)
-            object.__setattr__(message, "data", np.arange(99, dtype=np.uint8))
-        return found
-
-    monkeypatch.setitem(globals(), "messages", other)
-    with pytest.raises(SourceError, match=rf"{form}.*none of PNG, JPEG"):
-        open_stream(write_bag(tmp_path / "a", "sqlite", topic="/cam/image_raw/compressed"))
-
-
-def test_packed_recordings_are_named(tmp_path):
-    (tmp_path / "a.db3.zstd").write_bytes(b"x")
-    with pytest.raises(SourceError, match="unpack it first"):
-        open_stream(tmp_path / "a.db3.zstd")
-
-
 @pytest.mark.parametrize(
     ("kind", "how", "refused"),
     [
@@ -733,41 +625,6 @@ def test_compressed_recordings_are_read(tmp_path, kind, how, refused):
         (part,) = (p for p in path.iterdir() if p.suffix != ".yaml")
         with pytest.raises(SourceError, match=refused):
             open_stream(part)
-
-
-@pytest.mark.parametrize("kind", ["ros1", "sqlite"])
-def test_without_header_stamps_the_times_of_reception_are_used(tmp_path, kind):
-    options = {"header_times": np.zeros(6)}
-    stream = open_stream(write_bag(tmp_path / ("a.bag" if kind == "ros1" else "a"), kind, image_options=options))
-    np.testing.assert_allclose([f.timestamp_s for f in stream], 100 + np.arange(6), atol=1e-6)
-    assert any("no header stamps" in what for what, _ in stream.notes)
-
-
-def test_a_recording_that_was_never_closed_names_what_repairs_it(tmp_path):
-    (path,) = write_bag(tmp_path / "a", "mcap").glob("*.mcap")
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(SourceError, match="never closed, repair it with 'mcap recover"):
-        open_stream(cut)
-    with pytest.raises(SourceError, match=r"as a ROS recording.*; rename it to CUT\.mcap"):
-        open_stream(cut.rename(tmp_path / "CUT.MCAP"))
-    folder = path.parent.rename(tmp_path / "run.A")  # whose name ends in nothing that is at fault
-    (folder / path.name).write_bytes(b"")
-    with pytest.raises(SourceError, match=r"run\.A: cannot be opened as a ROS recording(?!.*rename)"):
-        open_stream(folder)
-
-
-def test_a_recording_without_images_is_named_with_its_topics(tmp_path):
-    path = write_bag(tmp_path / "a", "sqlite", topic=None, others=[("/imu", "sensor_msgs/msg/Imu")])
-    with pytest.raises(SourceError, match=r"holds no images; its topics are /imu"):
-        open_stream(path)
-
-
-def test_the_topic_must_be_there(tmp_path):
-    path = write_bag(tmp_path / "a", "sqlite", with_info=False)
-    with pytest.raises(SourceError, match="no images on /other; there are /cam/image_raw"):
-        open_stream(path, topic="/other")
-    assert open_stream(path, topic="/cam/image_raw").camera is None
 
 
 # decoding ahead
@@ -844,7 +701,49 @@ def test_a_data_set_streams_the_frames_between_too(redkitchen):
         open_stream(redkitchen / "absent")
 
 
-@pytest.mark.parametrize("address", ["rtsp://10.0.0.1/live", "http://camera/video", "RTSP:/10.0.0.1/live"])
-def test_addresses_on_a_network_are_refused(address):
-    with pytest.raises(SourceError, match="is an address on a network, and none is opened"):
-        open_stream(address)
+def animation(root):
+    frames = [Image.new("RGB", SIZE, (20 * i, 0, 0)) for i in range(3)]
+    frames[0].save(root / "a.webp", save_all=True, append_images=frames[1:])
+
+
+def cut_off(root):
+    (path,) = write_bag(root / "bag", "mcap").glob("*.mcap")
+    (root / "a.mcap").write_bytes(path.read_bytes()[:-200])
+
+
+def put(content):
+    return lambda root: (root / "a").write_bytes(content)
+
+
+def put_bag(**options):
+    return lambda root: write_bag(root / "a", "sqlite", **options)
+
+
+SMALL = PinholeCamera(40, 40, 16, 12, 32, 24)
+IMU = [("/imu", "sensor_msgs/msg/Imu")]
+REFUSED = {  # what is written, what is opened, how, and what is told
+    "an address": (lambda root: None, "rtsp://10.0.0.1/live", {}, "address on a network"),
+    "a camera": (lambda root: None, "camera:97", {}, "camera 97: cannot be opened"),
+    "no video": (put(b"nothing"), "a", {}, "cannot be opened as a video"),
+    "a list": (put(b"ffconcat version 1.0\nfile 'v.mp4'\n"), "a", {}, "list of other files"),
+    "a playlist": (put(b"v=0\xff\xfe\0\1"), "a", {}, "list of other files"),
+    "an animation": (animation, "a.webp", {}, "holds no frame"),
+    "a video of another camera": (lambda root: video(root / "a.avi"), "a.avi", {"camera": SMALL}, "64x48"),
+    "a packed bag": (lambda root: (root / "a.db3.zstd").write_bytes(b"x"), "a.db3.zstd", {}, "unpack it"),
+    "a bag that was not closed": (cut_off, "a.mcap", {}, "mcap recover"),
+    "a bag without images": (put_bag(topic=None, others=IMU), "a", {}, "its topics are /imu"),
+    "a bag without the topic": (put_bag(), "a", {"topic": "/other"}, "there are /cam/image_raw"),
+    "a bag of another camera": (put_bag(with_info=False), "a", {"camera": SMALL}, "64x48"),
+    "an encoding": (put_bag(image_options={"encoding": "jpeg2000"}), "a", {}, "encoding jpeg2000"),
+    "a film": (put_bag(image_options={"compressed": True, "form": "h264"}), "a", {}, "h264"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_opened_is_named(tmp_path, monkeypatch, what):
+    write, source, options, told = REFUSED[what]
+    write(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SourceError, match=told) as error:
+        list(open_stream(source, **options))
+    assert source.replace(":", " ") in str(error.value) or source in str(error.value)

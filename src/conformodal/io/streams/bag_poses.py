@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,22 +25,24 @@ _WITHIN = {  # where a message has its pose
     _TRANSFORM: "transform",
 }
 _STATIC = "tf_static"
-_NO_MOTION = (0, 0, 0, 1, 0, 0, 0)
+_IDENTITY = (0, 0, 0, 1, 0, 0, 0)
 _BY_HAND = "if these are the camera's poses, give them as a TUM file"
 
 
-@dataclass
-class _Edge:
-    """Poses of a frame in its parent; of a static one, one."""
+class _Edge(NamedTuple):
+    """Poses of a frame in its parent: rows ``time x y z qw qx qy qz`` (n, 8)."""
 
     parent: str
-    rows: FloatArray  # (n, 8) time x y z qw qx qy qz
+    rows: FloatArray
 
-    def path(self) -> Trajectory:
+    def trajectory(self) -> Trajectory:
         return Trajectory(self.rows[:, 0], self.rows[:, 1:4], self.rows[:, 4:])
 
+    def last_pose(self) -> FloatArray:
+        return np.asarray(self.trajectory()[-1:].poses_se3[0])
 
-_Tree = dict[str, _Edge]
+
+_Tree = dict[str, _Edge]  # by frame
 _Rows = dict[tuple[str, str], list[list[float]]]  # of a frame in its parent
 
 
@@ -67,149 +68,140 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
         If there are no poses on the topic, or nothing leads from their frame to the camera's.
     """
     place = f"{bag.path}: {topic}"
+    moving_rows, static_rows, n_unusable = _Rows(), _Rows(), 0
     with bag_reader(bag.path) as reader:
-        posed = [c for c in reader.connections if c.msgtype in (*_WITHIN, *_TRANSFORMS) and not _is_static(c)]
-        kinds = {c.topic: c.msgtype for c in posed if c.msgcount}
+        kinds = {c.topic: c.msgtype for c in reader.connections if c.msgcount and not _is_static(c.topic)}
+        kinds = {name: kind for name, kind in kinds.items() if kind in (*_WITHIN, *_TRANSFORMS)}
         if topic not in kinds:
             named = ", ".join(sorted(kinds)) or "none"
             if "." in topic:  # as no name of a topic has
                 raise SourceError(f"{topic}: no such file of poses; {bag.path} has poses on {named}")
             raise SourceError(f"{bag.path}: holds no poses on {topic}, which is no file either; there are {named}")
-        camera = _camera_frame(reader, str(bag.topic))
-        rows, fixed, n_bad = _Rows(), _Rows(), 0
-        wanted = [c for c in reader.connections if c.topic == topic or _is_static(c)]
+        wanted = [c for c in reader.connections if c.topic == topic or _is_static(c.topic)]
+        images = [c for c in reader.connections if c.topic == bag.topic]
         try:
+            connection, _, raw = next(reader.messages(connections=images))
+            camera = _frame(reader.deserialize(raw, connection.msgtype).header.frame_id)
             for connection, received_ns, raw in reader.messages(connections=wanted):
-                message = reader.deserialize(raw, connection.msgtype)
-                into = rows if connection.topic == topic else fixed
-                n_bad += _take(into, message, connection.msgtype, received_ns / 1e9 if bag.received else None)
+                message, received_s = reader.deserialize(raw, connection.msgtype), received_ns / 1e9
+                is_transforms = connection.msgtype in _TRANSFORMS
+                for each in message.transforms if is_transforms else [message]:
+                    time_s = received_s if bag.received else stamp_s(each)
+                    row = [time_s, *_pose_of(each, _TRANSFORM if is_transforms else connection.msgtype)]
+                    if not np.isfinite(row).all() or pose_faults(np.array([row[1:4]]), np.array([row[4:]])):
+                        n_unusable += 1
+                        continue
+                    frames = _frame(getattr(each, "child_frame_id", "")), _frame(each.header.frame_id)
+                    (static_rows if connection.topic != topic else moving_rows).setdefault(frames, []).append(row)
         except Exception as exc:  # damaged bytes lead a decoder to any error
             raise SourceError(f"{place}: cannot be read: {exc}") from exc
-    if n_bad:
-        notes.append(Note("left out, pose cannot be used", f"{place}: {counted(n_bad, 'pose')}"))
-    moving, static = _tree(rows, place, notes), _tree(fixed, place, notes)
+    if n_unusable:
+        notes.append(Note("left out, pose cannot be used", f"{place}: {counted(n_unusable, 'pose')}"))
+    moving, static = _tree(moving_rows, place, notes), _tree(static_rows, place, notes)
     if not moving:
         raise SourceError(f"{place}: holds no pose that can be used")
     if kinds[topic] in _TRANSFORMS:
-        return _along(moving, static, camera, place, notes, max_gap_s)
+        return _along_transforms(moving, static, camera, place, notes, max_gap_s)
     if len(moving) > 1:
         raise SourceError(f"{place}: has poses of several frames ({', '.join(moving)}), expected one")
     ((frame, edge),) = moving.items()
     told = f"{place}: of {frame or 'a frame without a name, taken as the camera'} in {edge.parent or 'the world'}"
-    path = _path(edge, told, notes)
+    path = _without_conflicts(edge, told, notes)
     if frame in ("", camera):
         notes.append(Note("poses", told))
         return path
     (root, T_root_frame), (other, T_root_cam) = _to_root(static, frame), _to_root(static, camera)
     if root != other:
-        lost = "" if static else f", and there is no /{_STATIC}"
-        apart = f"and the images are of {camera!r}: no static transform connects them{lost}"
+        missing = "" if static else f", and there is no /{_STATIC}"
+        apart = f"and the images are of {camera!r}: no static transform connects them{missing}"
         raise SourceError(f"{told}, {apart}; {_BY_HAND}")
     notes.append(Note("poses", f"{told}, moved to {camera} by /{_STATIC}"))
     return Trajectory.from_poses_se3(path.timestamps_s, path.poses_se3 @ np.linalg.inv(T_root_frame) @ T_root_cam)
 
 
-def _is_static(connection: Any) -> bool:
-    return str(connection.topic).rpartition("/")[2] == _STATIC
-
-
-def _camera_frame(reader: Any, topic: str) -> str:
-    connections = [c for c in reader.connections if c.topic == topic]
-    connection, _, raw = next(reader.messages(connections=connections))
-    return _frame(reader.deserialize(raw, connection.msgtype).header.frame_id)
+def _is_static(topic: str) -> bool:
+    return topic.rpartition("/")[2] == _STATIC
 
 
 def _frame(name: str) -> str:
     return name.strip().lstrip("/")  # as early ROS 1 wrote it
 
 
-def _take(into: _Rows, message: Any, kind: str, received_s: float | None) -> int:
-    """Add the poses of a message; how many cannot be used."""
-    if kind in _TRANSFORMS:
-        return sum(_take(into, its, _TRANSFORM, received_s) for its in message.transforms)
-    pose = message
+def _pose_of(message: Any, kind: str) -> list[float]:
+    """Position and quaternion, real part first, of a message."""
     for name in _WITHIN[kind].split("."):
-        pose = getattr(pose, name)
-    at, turn = (pose.translation, pose.rotation) if kind == _TRANSFORM else (pose.position, pose.orientation)
-    row = [received_s or stamp_s(message), at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z]
-    values = np.array([row])
-    if not np.isfinite(values).all() or pose_faults(values[:, 1:4], values[:, 4:]):
-        return 1
-    edge = _frame(getattr(message, "child_frame_id", "")), _frame(message.header.frame_id)
-    into.setdefault(edge, []).append(row)
-    return 0
+        message = getattr(message, name)
+    of_transform = kind == _TRANSFORM
+    at, turn = (message.translation, message.rotation) if of_transform else (message.position, message.orientation)
+    return [at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z]
 
 
 def _tree(rows: _Rows, place: str, notes: list[Note]) -> _Tree:
     """Each frame with its parent: of several, the one with the most poses."""
     tree = _Tree()
-    for (frame, parent), its in sorted(rows.items(), key=lambda item: -len(item[1])):
+    for (frame, parent), poses in sorted(rows.items(), key=lambda item: -len(item[1])):
         if frame not in tree:
-            tree[frame] = _Edge(parent, np.array(its))
+            tree[frame] = _Edge(parent, np.array(poses))
             continue
-        where = (
-            f"{place}: {counted(len(its), 'pose')} of {frame or 'a frame without a name'} in {parent or 'the world'}"
-        )
-        notes.append(Note("left out, of another parent", f"{where}, not {tree[frame].parent or 'the world'}"))
+        of = f"{counted(len(poses), 'pose')} of {frame or 'a frame without a name'} in {parent or 'the world'}"
+        notes.append(Note("left out, of another parent", f"{place}: {of}, not {tree[frame].parent or 'the world'}"))
     return tree
 
 
-def _path(edge: _Edge, told: str, notes: list[Note]) -> Trajectory:
+def _without_conflicts(edge: _Edge, told: str, notes: list[Note]) -> Trajectory:
     """Poses of a frame; those that differ at the same time are left out."""
     rows = np.unique(edge.rows, axis=0)
-    unclear = np.isin(rows[:, 0], rows[1:, 0][np.diff(rows[:, 0]) == 0])
-    if unclear.any():
-        where = (
-            f"{told}: {unclear.sum()} of {counted(len(rows), 'pose')} have the time of another; do two nodes send them?"
-        )
-        if unclear.all():
-            raise SourceError(where)
-        notes.append(Note("left out, several poses at one time", where))
-    return _Edge(edge.parent, rows[~unclear]).path()
+    conflicting = np.isin(rows[:, 0], rows[1:, 0][np.diff(rows[:, 0]) == 0])
+    if conflicting.any():
+        of = f"{conflicting.sum()} of {counted(len(rows), 'pose')} have the time of another"
+        if conflicting.all():
+            raise SourceError(f"{told}: {of}; do two nodes send them?")
+        notes.append(Note("left out, several poses at one time", f"{told}: {of}; do two nodes send them?"))
+    return _Edge(edge.parent, rows[~conflicting]).trajectory()
 
 
 def _to_root(static: _Tree, frame: str) -> tuple[str, FloatArray]:
     """The root above a frame in the tree of static transforms, and ``T_root_frame``."""
-    pose, seen = np.eye(4), {frame}
-    while (edge := static.get(frame)) is not None and edge.parent not in seen:
-        pose, frame = edge.path()[-1:].poses_se3[0] @ pose, edge.parent
-        seen.add(frame)
+    pose, passed = np.eye(4), {frame}
+    while (edge := static.get(frame)) is not None and edge.parent not in passed:
+        pose, frame = edge.last_pose() @ pose, edge.parent
+        passed.add(frame)
     return frame, pose
 
 
-def _along(moving: _Tree, static: _Tree, camera: str, place: str, notes: list[Note], max_gap_s: float) -> Trajectory:
+def _along_transforms(
+    moving: _Tree, static: _Tree, camera: str, place: str, notes: list[Note], max_gap_s: float
+) -> Trajectory:
     """Poses of the camera's frame in the root of all transforms, at the times of the one that is sent most often."""
-    chain, frame = list[str](), camera
-    while frame not in chain and (frame in moving or frame in static):
-        chain.append(frame)
-        frame = (moving.get(frame) or static[frame]).parent
-    if frame in chain:
-        raise SourceError(f"{place}: leads from {' to '.join([*chain, frame])}, in a circle; {_BY_HAND}")
-    driven = [its for its in chain if its in moving]
-    if not driven:
-        known = ", ".join(f"{its.parent} to {child}" for child, its in moving.items())
-        raise SourceError(f"{place}: leads from {known}, and not to {camera!r}, which the images are of; {_BY_HAND}")
-    paths = {its: _path(moving[its], f"{place}: of {its} in {moving[its].parent}", notes) for its in driven}
-    leader = max(driven, key=lambda its: len(paths[its]))
-    times = paths[leader].timestamps_s
-    poses = np.tile(np.eye(4), (len(times), 1, 1))
-    there = np.ones(len(times), dtype=bool)
-    for its in chain:
-        if its in paths:
-            rows, _ = poses_at(paths[its], times, max_gap_s)
-            found = np.isfinite(rows).all(axis=1)
-            rows[~found] = _NO_MOTION
-            there &= found
-            poses = rigid_motions(matrix_from_quat_wxyz(rows[:, 3:]), rows[:, :3]) @ poses
-        else:
-            poses = static[its].path()[-1:].poses_se3 @ poses
-    if not there.any():
-        raise SourceError(f"{place}: {' and '.join(driven)} are never within {max_gap_s:g} s of each other")
-    if not there.all():
-        where = (
-            f"{place}: {(~there).sum()} of {counted(len(there), 'pose')}: {' and '.join(driven)} are not sent within"
-        )
-        notes.append(Note("left out, transforms are apart", f"{where} {max_gap_s:g} s (max_gap_s) of each other"))
+    chain, root = list[str](), camera
+    while root not in chain and (root in moving or root in static):
+        chain.append(root)
+        root = (moving.get(root) or static[root]).parent
+    if root in chain:
+        raise SourceError(f"{place}: leads from {' to '.join([*chain, root])}, in a circle; {_BY_HAND}")
+    paths = {
+        frame: _without_conflicts(moving[frame], f"{place}: of {frame} in {moving[frame].parent}", notes)
+        for frame in chain
+        if frame in moving
+    }
+    if not paths:
+        ends = ", ".join(f"{edge.parent} to {child}" for child, edge in moving.items())
+        raise SourceError(f"{place}: leads from {ends}, and not to {camera!r}, which the images are of; {_BY_HAND}")
+    times = max(paths.values(), key=len).timestamps_s
+    poses, complete = np.tile(np.eye(4), (len(times), 1, 1)), np.ones(len(times), dtype=bool)
+    for frame in chain:
+        if frame not in paths:
+            poses = static[frame].last_pose() @ poses
+            continue
+        rows, _ = poses_at(paths[frame], times, max_gap_s)
+        missing = ~np.isfinite(rows).all(axis=1)
+        rows[missing], complete = _IDENTITY, complete & ~missing
+        poses = rigid_motions(matrix_from_quat_wxyz(rows[:, 3:]), rows[:, :3]) @ poses
+    if not complete.any():
+        raise SourceError(f"{place}: {' and '.join(paths)} are never within {max_gap_s:g} s of each other")
+    if not complete.all():
+        of = f"{(~complete).sum()} of {counted(len(times), 'pose')}: {' and '.join(paths)} are not sent within"
+        notes.append(Note("left out, transforms are apart", f"{place}: {of} {max_gap_s:g} s (max_gap_s) of each other"))
     through = f", through {', '.join(reversed(chain[1:]))}" if chain[1:] else ""
-    notes.append(Note("poses", f"{place}: of {camera} in {frame}{through}"))
-    return Trajectory.from_poses_se3(times[there], poses[there])
+    notes.append(Note("poses", f"{place}: of {camera} in {root}{through}"))
+    return Trajectory.from_poses_se3(times[complete], poses[complete])
