@@ -20,7 +20,16 @@ from conformodal.core.extras import MissingPackageError
 from conformodal.core.ranges import as_member
 from conformodal.geometry.lens import Fisheye
 from conformodal.io.streams.frames import SourceError
-from conformodal.io.streams.ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of, key_of_info, stamp_s
+from conformodal.io.streams.ros_messages import (
+    COMPRESSED,
+    INFO,
+    RAW,
+    camera_of_info,
+    image_of,
+    key_of_info,
+    rosbags_image,
+    stamp_s,
+)
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimates import Estimate
 from conformodal.pipeline.estimator import Odometry
@@ -63,6 +72,7 @@ class PoseNode:
         compressed: bool = False,
         silent_s: float = 1.0,
     ) -> None:
+        rosbags_image()  # missing packages are told before the first image
         self.odometry, self._node, self._silent_s = odometry, node, silent_s
         self._log = node.get_logger()
         self._conversion = Conversion(how, make_message)
@@ -189,11 +199,17 @@ def _parameters_of(node: Any) -> Parameters:
 def main(arguments: list[str] | None = None) -> int:
     """Run the node until ROS or a signal ends it; returns an exit code."""
     try:
-        with _require_ros():
-            import rclpy  # noqa: PLC0415 - comes with ROS
-            from rclpy.executors import ExternalShutdownException  # noqa: PLC0415
-    except MissingPackageError as exc:
-        return _failed(exc)
+        _run(arguments)
+    except ConformodalError as exc:
+        print(f"error: {exc}", file=sys.stderr)
+        return BAD_INPUT
+    return 0
+
+
+def _run(arguments: list[str] | None) -> None:
+    with _require_ros():
+        import rclpy  # noqa: PLC0415 - comes with ROS
+        from rclpy.executors import ExternalShutdownException  # noqa: PLC0415
     rclpy.init(args=arguments)
     node = rclpy.create_node(_NAME)
     try:
@@ -204,17 +220,9 @@ def main(arguments: list[str] | None = None) -> int:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except ConformodalError as exc:
-        return _failed(exc)
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    return 0
-
-
-def _failed(error: Exception) -> int:
-    print(f"error: {error}", file=sys.stderr)
-    return BAD_INPUT
 
 
 if __name__ == "__main__":

@@ -39,7 +39,6 @@ _REPAIRS = {  # of recordings that were never closed
     ".bag": "; if it was never closed, repair it with 'rosbag reindex'",
     ".active": "; it was never closed: call it .bag, and repair it with 'rosbag reindex'",
 }
-_ZSTD = b"\x28\xb5\x2f\xfd"
 _FIRST_MESSAGES = 12  # that tell what a recording holds
 _SET_BACK_S, _SET_AHEAD_S = 1.0, 60.0  # a clock that jumps by more was set
 
@@ -88,51 +87,27 @@ class _Clock:
 
 
 class _Message(NamedTuple):
-    """An image as it was sent; `info` is the CameraInfo before it where that changes."""
+    """An image as it was sent."""
 
     content: Any
     kind: str
     stamp_s: float
     received_s: float
-    info: Any
 
 
 @dataclass(frozen=True)
 class BagStream:
-    """Images of one topic of a recording, as :func:`open_bag` opens it.
-
-    Attributes
-    ----------
-    path
-        A ROS 1 bag, a ROS 2 folder, or the file in it (``.mcap``, ``.db3``).
-    topic
-        Of the images.
-    camera
-        Intrinsics that images are brought to, where the recording has any; else those of the images, if known.
-    n_frames
-        Messages of the topic.
-    notes
-        Which camera and which times are used, and what is unlikely.
-    received
-        Whether times are those at which messages were received: the first headers have no stamps, or the same. Else
-        the headers'.
-    offset_s
-        Of the headers' clock to that of reception, in the first messages.
-    info_topic
-        Of the ``CameraInfo`` that is followed, or None.
-    lens
-        What the first of these says.
-    """
+    """Images of one topic of a recording, as :func:`open_bag` opens it."""
 
     path: Path
     topic: str
-    camera: PinholeCamera | None
+    camera: PinholeCamera | None  # that images are brought to, where the recording has any; else theirs, if known
     n_frames: int
     notes: tuple[Note, ...]
-    received: bool
-    offset_s: float
-    info_topic: str | None
-    lens: AnyCamera | None
+    received: bool  # whether times are those of reception, as the headers have no stamps
+    offset_s: float  # of the headers' clock to that of reception, in the first messages
+    info_topic: str | None  # of the ``CameraInfo``
+    lens: AnyCamera | None  # what it says
     live = False
 
     @property
@@ -143,23 +118,18 @@ class BagStream:
     def __iter__(self) -> Iterator[Frame]:
         """Decode message after message; one that cannot be decoded, or whose time strays, comes without an image.
 
-        A clock that is set begins a new recording, whose times follow those before.
+        A clock that is set begins a new recording, whose times follow those before; another camera ends the stream.
         """
         clock, white = _Clock(self.offset_s), 0
-        lens, info = self.lens, None  # and a CameraInfo that no image could be used with yet
         for number, message in enumerate(self._messages()):
             place = f"{self.path}, message {number} of {self.topic}"
-            info = info if message.info is None else message.info
             image, problem = None, ""
             if clock.take(message.stamp_s, message.received_s):
                 try:
                     white = max(white, white_of(message.content))
                     image = image_of(message.content, message.kind, white)
-                    if info is not None:
-                        size = image.shape[1], image.shape[0]
-                        lens, info = camera_of_info(info, str(self.info_topic), self.topic, size), None
-                    if self.camera is not None and lens is not None:
-                        image = view_as(image, lens, self.camera)
+                    if self.camera is not None and self.lens is not None:
+                        image = view_as(image, self.lens, self.camera)
                 except ValueError as exc:
                     image, problem = None, f"{place}: {exc}"
             else:
@@ -167,20 +137,21 @@ class BagStream:
             yield Frame(f"{self.path.stem}-{number:06d}", clock.time_s, image, problem, clock.recording)
 
     def _messages(self) -> Iterator[_Message]:
-        """The images as they were sent, and the CameraInfo where it says another camera."""
-        n_images, last_key, info = 0, "", None
+        """The images as they were sent, by one camera."""
+        n_images, camera = 0, ""
         with bag_reader(self.path) as reader:
             wanted = [c for c in reader.connections if c.topic in (self.topic, self.info_topic)]
             try:
                 for connection, received_ns, raw in reader.messages(connections=wanted):
                     message = reader.deserialize(raw, connection.msgtype)
-                    if connection.msgtype == INFO:
-                        if (last_key or is_calibrated(message)) and (key := key_of_info(message)) != last_key:
-                            last_key, info = key, message
-                        continue
-                    stamp = received_ns / 1e9 if self.received else stamp_s(message)
-                    yield _Message(message, connection.msgtype, stamp, received_ns / 1e9, info)
-                    n_images, info = n_images + 1, None
+                    if connection.msgtype != INFO:
+                        stamp = received_ns / 1e9 if self.received else stamp_s(message)
+                        yield _Message(message, connection.msgtype, stamp, received_ns / 1e9)
+                        n_images += 1
+                    elif is_calibrated(message):
+                        if camera not in ("", key_of_info(message)):
+                            raise ValueError(f"{self.info_topic} gives another camera; split the recording there")
+                        camera = key_of_info(message)
             except Exception as exc:  # damaged bytes lead a decoder to any error
                 raise SourceError(f"{self.path}: breaks off after {n_images} images: {exc}") from exc
 
@@ -253,11 +224,9 @@ def _first_messages(
     for connection, received_ns, raw in islice(reader.messages(connections=connections), _FIRST_MESSAGES):
         try:
             message = reader.deserialize(raw, connection.msgtype)
-        except Exception as exc:  # it is told where the frames are read
-            if bytes(raw[:4]) == _ZSTD:
-                text = "its messages are compressed, as only metadata.yaml says; name the folder of both"
-                raise SourceError(f"{place}: {text}") from exc
-            break
+        except Exception as exc:  # damaged bytes lead it to any error
+            text = "cannot be decoded; if metadata.yaml says that messages are compressed, name the folder of both"
+            raise SourceError(f"{place}: {text}: {exc}") from exc
         times.append((stamp_s(message), received_ns / 1e9))
         if connection.msgtype == RAW:
             encoding_of(message, place)
@@ -319,8 +288,6 @@ def bag_reader(path: Path) -> Iterator[Any]:
         reader.open()
     except Exception as exc:  # damaged bytes lead it to any error
         hint = _REPAIRS.get(path.suffix, "") if path.stat().st_size else ""
-        if path.is_file() and path.suffix != path.suffix.lower():  # not a folder, such as run.A
-            hint = f"; rename it to {path.stem}{path.suffix.lower()}"
         raise SourceError(f"{path}: cannot be opened as a ROS recording: {exc}{hint}") from exc
     with closing(reader):
         yield reader

@@ -97,7 +97,7 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
             raise SourceError(f"{place}: cannot be read: {exc}") from exc
     if n_unusable:
         notes.append(Note("left out, pose cannot be used", f"{place}: {counted(n_unusable, 'pose')}"))
-    moving, static = _tree(moving_rows, place, notes), _tree(static_rows, place, notes)
+    moving, static = _tree(moving_rows, place), _tree(static_rows, f"{bag.path}: /{_STATIC}", static=True)
     if not moving:
         raise SourceError(f"{place}: holds no pose that can be used")
     if kinds[topic] in _TRANSFORMS:
@@ -106,7 +106,7 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
         raise SourceError(f"{place}: has poses of several frames ({', '.join(moving)}), expected one")
     ((frame, edge),) = moving.items()
     told = f"{place}: of {frame or 'a frame without a name, taken as the camera'} in {edge.parent or 'the world'}"
-    path = _without_conflicts(edge, told, notes)
+    path = edge.trajectory()
     if frame in ("", camera):
         notes.append(Note("poses", told))
         return path
@@ -136,28 +136,19 @@ def _pose_of(message: Any, kind: str) -> list[float]:
     return [at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z]
 
 
-def _tree(rows: _Rows, place: str, notes: list[Note]) -> _Tree:
-    """Each frame with its parent: of several, the one with the most poses."""
+def _tree(rows: _Rows, place: str, *, static: bool = False) -> _Tree:
+    """Each frame with its parent, of which there is one, and one pose per time; static ones may be sent again."""
     tree = _Tree()
-    for (frame, parent), poses in sorted(rows.items(), key=lambda item: -len(item[1])):
-        if frame not in tree:
-            tree[frame] = _Edge(parent, np.array(poses))
-            continue
-        of = f"{counted(len(poses), 'pose')} of {frame or 'a frame without a name'} in {parent or 'the world'}"
-        notes.append(Note("left out, of another parent", f"{place}: {of}, not {tree[frame].parent or 'the world'}"))
+    for (frame, parent), poses in rows.items():
+        if frame in tree:
+            parents = f"{tree[frame].parent or 'the world'} and in {parent or 'the world'}"
+            raise SourceError(f"{place}: has poses of {frame or 'a frame without a name'} in {parents}; {_BY_HAND}")
+        tree[frame] = _Edge(parent, np.unique(poses, axis=0))
+        twice = int((np.diff(tree[frame].rows[:, 0]) == 0).sum())
+        if twice and not static:
+            of = f"{counted(twice, 'pose')} of {frame or 'a frame without a name'}"
+            raise SourceError(f"{place}: {of} have the time of another; do two nodes send them?")
     return tree
-
-
-def _without_conflicts(edge: _Edge, told: str, notes: list[Note]) -> Trajectory:
-    """Poses of a frame; those that differ at the same time are left out."""
-    rows = np.unique(edge.rows, axis=0)
-    conflicting = np.isin(rows[:, 0], rows[1:, 0][np.diff(rows[:, 0]) == 0])
-    if conflicting.any():
-        of = f"{conflicting.sum()} of {counted(len(rows), 'pose')} have the time of another"
-        if conflicting.all():
-            raise SourceError(f"{told}: {of}; do two nodes send them?")
-        notes.append(Note("left out, several poses at one time", f"{told}: {of}; do two nodes send them?"))
-    return _Edge(edge.parent, rows[~conflicting]).trajectory()
 
 
 def _to_root(static: _Tree, frame: str) -> tuple[str, FloatArray]:
@@ -179,11 +170,7 @@ def _along_transforms(
         root = (moving.get(root) or static[root]).parent
     if root in chain:
         raise SourceError(f"{place}: leads from {' to '.join([*chain, root])}, in a circle; {_BY_HAND}")
-    paths = {
-        frame: _without_conflicts(moving[frame], f"{place}: of {frame} in {moving[frame].parent}", notes)
-        for frame in chain
-        if frame in moving
-    }
+    paths = {frame: moving[frame].trajectory() for frame in chain if frame in moving}
     if not paths:
         ends = ", ".join(f"{edge.parent} to {child}" for child, edge in moving.items())
         raise SourceError(f"{place}: leads from {ends}, and not to {camera!r}, which the images are of; {_BY_HAND}")

@@ -26,7 +26,8 @@ _LENSES = ("plumb_bob", "radtan", "rational_polynomial", "brown_conrady", "")
 _FISHEYES = ("equidistant", "fisheye", "kannala_brandt4")
 
 
-def _rosbags_image() -> Any:
+def rosbags_image() -> Any:
+    """The module that decodes raw images, or an error that names the extra."""
     with require_extra("ros", "a ROS image"):
         from rosbags.image import image  # noqa: PLC0415 - an extra
     return image
@@ -41,7 +42,7 @@ def encoding_of(message: Any, place: str = "image") -> str:
     """The encoding of a ``sensor_msgs/Image`` by its name in rosbags-image; a :class:`SourceError` if it has none."""
     encoding: str = message.encoding.strip().lower()  # some drivers write capitals
     encoding = _OF_OPENCV.get(encoding, encoding)
-    if encoding not in (readable := _rosbags_image().ENCODINGMAP):
+    if encoding not in (readable := rosbags_image().ENCODINGMAP):
         raise SourceError(f"{place}: encoding {message.encoding} is none of {', '.join(readable)}")
     return encoding
 
@@ -70,7 +71,7 @@ def image_of(message: Any, kind: str, white: int | None = None) -> UInt8Array:
         pixels = to_eight_bits(pixels, white or white_level(pixels))
         encoding = encoding.removesuffix("16") + "8"
     try:
-        return np.asarray(_rosbags_image().convert_color(pixels, encoding, "rgb8"), dtype=np.uint8)
+        return np.asarray(rosbags_image().convert_color(pixels, encoding, "rgb8"), dtype=np.uint8)
     except cv2.error as exc:  # such as an odd side, where two pixels share a colour
         raise ValueError(f"{message.width}x{message.height} pixels cannot be {message.encoding}") from exc
 
@@ -78,7 +79,7 @@ def image_of(message: Any, kind: str, white: int | None = None) -> UInt8Array:
 def _pixels(message: Any) -> AnyArray:
     """The values of a raw image, which rosbags-image takes without padding, and of NV12 and NV21 with colours below."""
     encoding = encoding_of(message)
-    bits, _, _, n_values = _rosbags_image().ENCODINGMAP[encoding]
+    bits, _, _, n_values = rosbags_image().ENCODINGMAP[encoding]
     width = message.width * n_values * bits // 8
     height = message.height * 3 // 2 if encoding.startswith("nv") else message.height
     data = np.frombuffer(message.data, dtype=np.uint8)
@@ -87,7 +88,7 @@ def _pixels(message: Any) -> AnyArray:
         raise ValueError(f"{data.size} bytes do not make {message.width}x{message.height} pixels {message.encoding}")
     rows = np.ascontiguousarray(data.reshape(height, step)[:, :width])
     size = {"width": message.width, "height": height, "is_bigendian": message.is_bigendian}
-    return np.asarray(_rosbags_image().image_to_cvimage(SimpleNamespace(encoding=encoding, data=rows, **size)))
+    return np.asarray(rosbags_image().image_to_cvimage(SimpleNamespace(encoding=encoding, data=rows, **size)))
 
 
 def _decompressed(message: Any, white: int | None) -> UInt8Array:
@@ -98,12 +99,12 @@ def _decompressed(message: Any, white: int | None) -> UInt8Array:
     encoding = mosaic.strip().rstrip("16").rstrip("8") + "8"
     if (
         not mosaic.startswith("bayer")
-        or encoding not in _rosbags_image().ENCODINGMAP
+        or encoding not in rosbags_image().ENCODINGMAP
         or "8" in target.partition("compressed")[2]
     ):
         return image
     return np.asarray(
-        _rosbags_image().convert_color(np.ascontiguousarray(image[..., 0]), encoding, "rgb8"), dtype=np.uint8
+        rosbags_image().convert_color(np.ascontiguousarray(image[..., 0]), encoding, "rgb8"), dtype=np.uint8
     )
 
 
