@@ -6,6 +6,7 @@ python examples/custom_score.py
 import numpy as np
 
 from conformodal import QuantileBins, SplitConformal
+from conformodal.conformal import register_score
 
 
 class TemperedRank:  # a conformodal.conformal.Score
@@ -28,7 +29,8 @@ if __name__ == "__main__":
     y = np.where(rng.random(2000) < 0.5, -1.0, 1.0) + rng.normal(0, 0.1, 2000)  # here or there
     bins = QuantileBins(n_bins=20).fit(y)
     proba = np.tile(1 / 20, (2000, 20))
-    calibrated = SplitConformal(bins, alpha=0.1, score=TemperedRank()).calibrate(proba[:1000], y[:1000])
+    register_score(TemperedRank())  # a name for the command line and settings, too
+    calibrated = SplitConformal(bins, alpha=0.1, score="tempered_rank").calibrate(proba[:1000], y[:1000])
     regions = calibrated.predict(proba[1000:])
-    print(f"covered: {regions.contains(y[1000:]).mean():.3f} of 1000, promised at least 0.9 for exchangeable samples")
+    print(f"covered: {regions.contains(y[1000:]).mean():.3f} of 1000, guaranteed at least 0.9 for exchangeable samples")
     print(f"intervals: {regions.intervals(0)[0].round(2).tolist()}")
