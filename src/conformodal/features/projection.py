@@ -28,8 +28,8 @@ class Projection:
     def apply(self, features: Float32Array) -> Float32Array:
         """Projected features (n, k) of features (n, F)."""
         centred = features - self.offset
-        found = centred @ self.components if self.components.ndim == 2 else centred * self.components
-        return np.asarray(found, dtype=np.float32)
+        projected = centred @ self.components if self.components.ndim == 2 else centred * self.components
+        return np.asarray(projected, dtype=np.float32)
 
 
 def fit_projection(features: Float32Array, n_components: int | None, view: slice = slice(None)) -> Projection:

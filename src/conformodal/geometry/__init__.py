@@ -1,7 +1,6 @@
-"""Rotations, trajectories, cameras, file formats and trajectory errors. NumPy and SciPy only.
+"""Rotations, trajectories, cameras, bundle adjustment and trajectory errors: NumPy, SciPy and OpenCV only.
 
-Invalid values raise :class:`PoseError`; files that cannot be read raise :class:`TrajectoryFileError`, which names the
-file and the line.
+Invalid values raise :class:`PoseError`.
 """
 
 from .alignment import Alignment, align

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -28,8 +29,16 @@ class Alignment(StrEnum):
     SCALE = "scale"  # scale alone, about the world's origin
 
 
-def umeyama(source: FloatArray, target: FloatArray, *, with_scale: bool) -> tuple[FloatArray, FloatArray, float]:
-    """Similarity ``target = s R source + t`` of least squared distance between points (n, 3): R (3, 3), t (3,), s."""
+class Similarity(NamedTuple):
+    """The transformation ``target = scale R source + t``."""
+
+    R: FloatArray  # (3, 3)
+    t: FloatArray  # (3,)
+    scale: float
+
+
+def umeyama(source: FloatArray, target: FloatArray, *, with_scale: bool) -> Similarity:
+    """The similarity of least squared distance between points (n, 3)."""
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 3:
         raise PoseError(f"alignment needs three or more pairs of points (n, 3), got {source.shape}, {target.shape}")
     mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
@@ -41,7 +50,7 @@ def umeyama(source: FloatArray, target: FloatArray, *, with_scale: bool) -> tupl
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])  # a rotation, no mirror
     R = (u * signs) @ vt
     s = float(d @ signs / np.mean(np.sum(centred**2, axis=1))) if with_scale else 1.0
-    return R, mean_target - s * R @ mean_source, s
+    return Similarity(R, mean_target - s * R @ mean_source, s)
 
 
 def align(estimate: Trajectory, truth: Trajectory, how: Alignment | str) -> Trajectory:

@@ -52,20 +52,20 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
     fitted, checked = (
         Matches(matches.frames[half], matches.pixels[half], matches.flows[half]) for half in np.array_split(order, 2)
     )
-    its = CAMERA_FIT
-    sigmas = its.sigma_log_focal, its.sigma_mount_rad, its.sigma_mount_depths * depth_m, its.sigma_s
+    mount_m = CAMERA_FIT.sigma_mount_depths * depth_m
+    sigmas = CAMERA_FIT.sigma_log_focal, CAMERA_FIT.sigma_mount_rad, mount_m, CAMERA_FIT.sigma_s
     spreads = np.repeat(sigmas, (1, 3, 3, 2))
 
     def residuals(unknowns: FloatArray) -> FloatArray:
         errors = _epipolar_errors_px(_mounted(given, unknowns * spreads), fitted, poses_se3)
         return np.concatenate((errors / CAMERA_FIT.scale_px, unknowns))
 
-    found = least_squares(residuals, np.zeros(9), loss="cauchy", max_nfev=30)
-    if np.abs(found.x[7:]).max() >= CAMERA_FIT.most_sigmas:
-        found.x[7:] = 0
-    better = _mounted(given, found.x * spreads)
+    unknowns = least_squares(residuals, np.zeros(9), loss="cauchy", max_nfev=30).x
+    if np.abs(unknowns[7:]).max() >= CAMERA_FIT.most_sigmas:
+        unknowns[7:] = 0
+    better = _mounted(given, unknowns * spreads)
     before, after = (float(np.median(np.abs(_epipolar_errors_px(m, checked, poses_se3)))) for m in (given, better))
-    return better if after < before and np.abs(found.x).max() < CAMERA_FIT.most_sigmas else given
+    return better if after < before and np.abs(unknowns).max() < CAMERA_FIT.most_sigmas else given
 
 
 def _mounted(given: Mounted, unknowns: FloatArray) -> Mounted:

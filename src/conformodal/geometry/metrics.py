@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -56,16 +58,15 @@ def recall(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
     return {f"{m:g} m, {d:g} deg": float(np.mean((metres <= m) & (degrees <= d))) for m, d in _RECALL_THRESHOLDS}
 
 
-def associate(
-    estimate: Trajectory, truth: Trajectory, max_difference_s: float = MAX_TIME_DIFFERENCE_S
-) -> tuple[IntArray, IntArray]:
-    """Pair every estimated pose with the nearest true one in time; indices into both.
+class TimePairs(NamedTuple):
+    """Indices (m,) of poses that belong together."""
 
-    Raises
-    ------
-    PoseError
-        If no pair is within `max_difference_s` seconds.
-    """
+    estimate: IntArray
+    truth: IntArray
+
+
+def associate(estimate: Trajectory, truth: Trajectory, max_difference_s: float = MAX_TIME_DIFFERENCE_S) -> TimePairs:
+    """Pair every estimated pose with the nearest true one in time, within `max_difference_s` seconds."""
     if len(estimate) == 0 or len(truth) == 0:
         raise PoseError(f"{len(estimate)} estimated and {len(truth)} true poses cannot be paired")
     order = np.argsort(truth.timestamps_s, kind="stable")
@@ -78,7 +79,7 @@ def associate(
             f"{estimate.timestamps_s.min():.3f} to {estimate.timestamps_s.max():.3f} s, "
             f"truth {times.min():.3f} to {times.max():.3f} s{clock_hint(estimate.timestamps_s, times)}"
         )
-    return np.flatnonzero(matched), order[nearest[matched]]
+    return TimePairs(np.flatnonzero(matched), order[nearest[matched]])
 
 
 def in_seconds(times: FloatArray) -> tuple[FloatArray, str]:
@@ -86,11 +87,11 @@ def in_seconds(times: FloatArray) -> tuple[FloatArray, str]:
 
     Those since 1970 show it by their size, those of another clock by their steps, of 0.1 to 1000 per second.
     """
-    known = np.unique(times[np.isfinite(times)])
-    size = float(np.median(np.abs(known))) if known.size else 0.0
+    finite = np.unique(times[np.isfinite(times)])
+    size = float(np.median(np.abs(finite))) if finite.size else 0.0
     if size < _NO_SECONDS:
         return times, ""
-    step = float(np.median(np.diff(known))) if known.size > 1 else 0.0
+    step = float(np.median(np.diff(finite))) if finite.size > 1 else 0.0
     for unit, per_second in _UNITS.items():
         if 0.5 < size / (1e9 * per_second) < 5 and step < 10 * per_second:  # 1985 to 2128
             return times / per_second, unit
@@ -111,45 +112,38 @@ def clock_hint(times_s: FloatArray, others_s: FloatArray) -> str:
     return ""
 
 
-def poses_at(path: Trajectory, times_s: FloatArray, max_gap_s: float = MAX_GAP_S) -> tuple[FloatArray, FloatArray]:
+class InterpolatedPoses(NamedTuple):
+    """Poses at other times than those of a path."""
+
+    rows: FloatArray  # (n, 7) ``x y z qw qx qy qz``, NaN where there is no pose
+    gaps_s: FloatArray  # (n,) between the poses around each time: 0 where one is taken as it is, infinite outside
+
+
+def poses_at(path: Trajectory, times_s: FloatArray, max_gap_s: float = MAX_GAP_S) -> InterpolatedPoses:
     """Poses of a path at other times, interpolated: positions linearly, orientations on the great arc.
 
-    Parameters
-    ----------
-    path
-        In any order of time.
-    times_s
-        (n,) seconds, finite.
-    max_gap_s
-        Longest time between two poses that is bridged. Before the first pose and after the last there is none; one
-        within a millisecond is taken as it is.
-
-    Returns
-    -------
-    rows
-        (n, 7) ``x y z qw qx qy qz``, NaN where there is no pose.
-    gaps_s
-        (n,) seconds between the poses around each time: 0 where one is taken as it is, infinite outside of the path.
+    The poses may be in any order of time. Those at most `max_gap_s` apart are bridged; before the first pose and after
+    the last there is none. A pose within a millisecond is taken as it is.
     """
-    found, gaps = np.full((len(times_s), 7), np.nan), np.full(len(times_s), np.inf)
+    poses, gaps = np.full((len(times_s), 7), np.nan), np.full(len(times_s), np.inf)
     if not len(path):
-        return found, gaps
+        return InterpolatedPoses(poses, gaps)
     order = np.argsort(path.timestamps_s, kind="stable")
     times, rows = path.timestamps_s[order], np.column_stack((path.positions_xyz, path.orientations_quat_wxyz))[order]
     near = nearest_in_time(times, times_s)
     same = np.abs(times[near] - times_s) <= _SAME_S
-    found[same], gaps[same] = rows[near[same]], 0.0
+    poses[same], gaps[same] = rows[near[same]], 0.0
     after = np.searchsorted(times, times_s)
     inside = np.flatnonzero(~same & (after > 0) & (after < len(times)))
     gaps[inside] = times[after[inside]] - times[after[inside] - 1]
     inside = inside[gaps[inside] <= max_gap_s]
     left, right = rows[after[inside] - 1], rows[after[inside]]
     share = ((times_s[inside] - times[after[inside] - 1]) / gaps[inside])[:, None]
-    found[inside, :3] = left[:, :3] + share * (right[:, :3] - left[:, :3])
+    poses[inside, :3] = left[:, :3] + share * (right[:, :3] - left[:, :3])
     first, last = (Rotation.from_quat(side[:, 3:], scalar_first=True) for side in (left, right))
     turned = first * Rotation.from_rotvec(share * (first.inv() * last).as_rotvec())
-    found[inside, 3:] = turned.as_quat(scalar_first=True)
-    return found, gaps
+    poses[inside, 3:] = turned.as_quat(scalar_first=True)
+    return InterpolatedPoses(poses, gaps)
 
 
 def nearest_in_time(times_s: FloatArray, asked_s: FloatArray) -> IntArray:
@@ -172,8 +166,15 @@ def check_same_length(estimate: Trajectory, truth: Trajectory) -> None:
         raise PoseError(f"estimate has {len(estimate)} poses, truth {len(truth)}; pair them first (associate)")
 
 
-def relative_errors(estimate: Trajectory, truth: Trajectory, delta: int = 1) -> tuple[FloatArray, FloatArray]:
-    """Errors of the motion over `delta` frames (Sturm et al. 2012, eq. 2): metres and degrees, (n - delta,) each."""
+class MotionErrors(NamedTuple):
+    """Errors (n,) of motions between two frames."""
+
+    metres: FloatArray
+    degrees: FloatArray
+
+
+def relative_errors(estimate: Trajectory, truth: Trajectory, delta: int = 1) -> MotionErrors:
+    """Errors of the n - `delta` motions over `delta` frames (Sturm et al. 2012, eq. 2)."""
     check_same_length(estimate, truth)
     if delta < 1 or len(truth) <= delta:
         raise PoseError(
@@ -183,8 +184,15 @@ def relative_errors(estimate: Trajectory, truth: Trajectory, delta: int = 1) -> 
     return _motion_errors(estimate, truth, starts, starts + delta)
 
 
-def kitti_drift(estimate: Trajectory, truth: Trajectory) -> tuple[float, float]:
-    """KITTI's drift over 100 to 800 m (Geiger et al. 2012): per cent of the length and degrees per metre, means.
+class Drift(NamedTuple):
+    """Mean drift of stretches of a path."""
+
+    percent: float  # of their length
+    degrees_per_metre: float
+
+
+def kitti_drift(estimate: Trajectory, truth: Trajectory) -> Drift:
+    """KITTI's drift over 100 to 800 m (Geiger et al. 2012).
 
     Segments start at every tenth frame and end where the true path has the nominal length.
     """
@@ -202,13 +210,11 @@ def kitti_drift(estimate: Trajectory, truth: Trajectory) -> tuple[float, float]:
     percent, rate = np.concatenate(percents), np.concatenate(rates)
     if not percent.size:
         raise PoseError(f"the true path is {along[-1]:.1f} m long; drift needs stretches of at least 100 m")
-    return float(percent.mean()), float(rate.mean())
+    return Drift(float(percent.mean()), float(rate.mean()))
 
 
-def _motion_errors(
-    estimate: Trajectory, truth: Trajectory, starts: IntArray, ends: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """Sizes of ``(truth_i^-1 truth_j)^-1 (estimate_i^-1 estimate_j)``, in metres and degrees."""
+def _motion_errors(estimate: Trajectory, truth: Trajectory, starts: IntArray, ends: IntArray) -> MotionErrors:
+    """Sizes of ``(truth_i^-1 truth_j)^-1 (estimate_i^-1 estimate_j)``."""
     motions = []
     for path in (truth, estimate):
         rotation = Rotation.from_quat(path.orientations_quat_wxyz, scalar_first=True)
@@ -216,4 +222,4 @@ def _motion_errors(
         motions.append((back * rotation[ends], back.apply(path.positions_xyz[ends] - path.positions_xyz[starts])))
     (R_true, t_true), (R, t) = motions
     # turning the difference back into the frame at the end does not change its length
-    return np.linalg.norm(t - t_true, axis=1), np.degrees((R_true.inv() * R).magnitude())
+    return MotionErrors(np.linalg.norm(t - t_true, axis=1), np.degrees((R_true.inv() * R).magnitude()))

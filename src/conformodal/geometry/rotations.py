@@ -52,9 +52,9 @@ def rotation_faults(matrices: FloatArray) -> dict[int, str]:
 def rigid_motions(rotations: npt.ArrayLike, translations: npt.ArrayLike) -> FloatArray:
     """Matrices (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
     shifts = np.asarray(translations, dtype=np.float64)
-    found = np.tile(np.eye(4), (*shifts.shape[:-1], 1, 1))
-    found[..., :3, :3], found[..., :3, 3] = rotations, shifts
-    return found
+    motions = np.tile(np.eye(4), (*shifts.shape[:-1], 1, 1))
+    motions[..., :3, :3], motions[..., :3, 3] = rotations, shifts
+    return motions
 
 
 def cross_matrices(vectors: FloatArray) -> FloatArray:

@@ -28,12 +28,6 @@ class MotionRecord:
     # by frame; empty where they were not asked for
     local_features: dict[int, LocalFeatures] = field(default_factory=dict)
 
-    def submaps_of(self, frames: IntArray) -> list[Submap]:
-        """Submaps of `frames` (m,), by their place among these."""
-        places = {frame: k for k, frame in enumerate(frames.tolist())}
-        renumbered = (submap.renumbered(places) for submap in self.submaps)
-        return [submap for submap in renumbered if submap is not None]
-
 
 def measure_motions(
     sequence: Recording,
