@@ -14,7 +14,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, Rows, evenly_spread
+from conformodal.core.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray, Rows, evenly_spread
 from conformodal.core.progress import Progress, stage_of
 from conformodal.features.backbone import feature_views
 from conformodal.features.projection import Projection, fit_projection
@@ -260,14 +260,16 @@ class NeighbourSource:
             # weights are shares of one answer: with more places it is not more probable that all are wrong
             odds = one.inlier_probability / (1 - one.inlier_probability) * beyond**-NEIGHBOURS.distrust
             odds *= float(weights[k])
-            sigmas = {"sigma_m": one.sigma_m * beyond, "sigma_rad": one.sigma_rad * beyond}
-            measurements.append(replace(one, inlier_probability=odds / (1 + odds), **sigmas))
+            inlier_probability, sigma_m, sigma_rad = odds / (1 + odds), one.sigma_m * beyond, one.sigma_rad * beyond
+            measurements.append(
+                replace(one, inlier_probability=inlier_probability, sigma_m=sigma_m, sigma_rad=sigma_rad)
+            )
         return measurements
 
     def state(self) -> SourceState:
         """Arrays of the regression, and its settings."""
         regression = self.regression
-        arrays = {
+        arrays: dict[str, AnyArray] = {
             "frames": self.frames,
             "offset": regression.projection.offset,
             "components": regression.projection.components,
