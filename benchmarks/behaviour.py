@@ -21,7 +21,7 @@ from common import DATA, REDKITCHEN, ROOT, parser_of, table_lines
 
 DESK, XYZ = DATA / "tum" / "fr1_desk", DATA / "tum" / "fr1_xyz"
 DEMO = ("--split", "interleaved", "--epochs", "40", "--dropout", "0.6", "--alpha", "0.02")
-SOURCES = "head,neighbours,landmarks"
+SOURCES = "head,landmarks"
 ROUNDING = 1e-9
 _FLY = """
 import sys
