@@ -90,10 +90,10 @@ def fisheye_of(
             f"{source}: fisheye distortion {lens.coefficients} moves a ray by {bent:.3g} times its distance from the "
             f"middle{folds}, which no lens does"
         )
-    seen, left = lens.views_deg()
+    whole, left = lens.views_deg()
     target = f"a pinhole camera of fx = {lens.pinhole.fx:g}, fy = {lens.pinhole.fy:g}"
-    cut = "; the rest is cut off" if left < seen - 0.1 else ""
-    notes.append(Note(UNDISTORTED, f"{source}: to {target}, which keeps {left:.0f} of {seen:.0f} degrees across{cut}"))
+    cut = "; the rest is cut off" if left < whole - 0.1 else ""
+    notes.append(Note(UNDISTORTED, f"{source}: to {target}, which keeps {left:.0f} of {whole:.0f} degrees across{cut}"))
     return lens
 
 
@@ -190,10 +190,7 @@ def _doubts(camera: PinholeCamera) -> list[str]:
             f"of about {2 * camera.cx:.0f}x{2 * camera.cy:.0f}?"
         )
     if not 1 / _UNLIKE < camera.fx / camera.fy < _UNLIKE:
-        doubts.append(
-            f"focal lengths fx = {camera.fx:g} and fy = {camera.fy:g} differ by more than a quarter; cameras have "
-            "nearly square pixels"
-        )
+        doubts.append(f"fx = {camera.fx:g} and fy = {camera.fy:g} differ, and cameras have nearly square pixels")
     for name, view in zip(("fx", "fy"), _views(camera), strict=True):
         if not _UNLIKELY_DEG[0] < view < _UNLIKELY_DEG[1]:
             doubts.append(f"{name} makes a field of view of {view:.3g} degrees with {pixels}")

@@ -87,10 +87,7 @@ def with_fitted_focal(sequence: Recording) -> Recording:
     straight ahead sees the same with any. A note gives the range of twice the standard error: from drawing the pairs of
     frames again, from errors of the poses beside the turns, and from lens and principal point.
 
-    Raises
-    ------
-    DatasetError
-        If there are no poses, too few matches, or poses and images do not determine it within 25 per cent.
+    Refuses what does not determine it within 25 per cent.
     """
     if sequence.truth is None:
         raise DatasetError(f"{sequence.name}: a focal length is fitted to poses, and not all frames have one")

@@ -7,7 +7,6 @@ import os
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -57,25 +56,13 @@ def is_turned(path: Path) -> bool:
     return False
 
 
-class WideSample(NamedTuple):
-    """Numbers of a few 16-bit images: the level that is shown as white, and what nearly all numbers lie between."""
-
-    white: int
-    low: float
-    high: float
-
-
-def sample_wide(paths: list[Path]) -> WideSample | None:
-    """What a few evenly spread images of 16 bits use of their range; None for 8 bits."""
+def sample_wide(paths: list[Path]) -> list[AnyArray]:
+    """The numbers of a few evenly spread images of 16 bits; those of 8, or that cannot be read, are passed over."""
     samples = []
     for path in (paths[i] for i in evenly_spread(len(paths), _SAMPLES)):
-        with suppress(Exception), _opened(path, "") as image:  # those that cannot be read are reported elsewhere
-            if (wide := _wide(image, path)) is not None:
-                samples.append((white_level(wide), *np.percentile(wide, (0.5, 99.5)).tolist()))
-    if not samples:
-        return None
-    whites, lows, highs = zip(*samples, strict=True)
-    return WideSample(max(whites), min(lows), max(highs))
+        with suppress(Exception), _opened(path, "") as image:
+            samples.append(_wide(image, path))
+    return [wide for wide in samples if wide is not None]
 
 
 def white_in(content: bytes) -> int:

@@ -22,7 +22,7 @@ from conformodal.geometry.lens import AnyCamera, pinhole_of
 from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, in_seconds, nearest_in_time
 
 from .cameras import uncalibrated_camera
-from .decoding import TURNED, WIDEST, common_size, image_fault, is_turned, sample_wide
+from .decoding import TURNED, WIDEST, common_size, image_fault, is_turned, sample_wide, white_level
 from .errors import DatasetError, DatasetWarning
 from .lenses import brought
 from .pose_text import TrajectoryFileError
@@ -108,7 +108,9 @@ class FrameTable:
         lacking = {i: f"{self.images[i].name}: {self.why.get(i, 'has no pose')}" for i in missing}
         if require_poses:
             out |= {i: Note(_LEFT_OUT + NO_POSE, why) for i, why in lacking.items() if i not in out}
-            out |= self._without_image(camera, [i for i in range(len(self.images)) if i not in out])
+            for i in (i for i in range(len(self.images)) if i not in out):
+                if fault := image_fault(self.images[i], (camera.width, camera.height)):
+                    out[i] = Note(_LEFT_OUT + "image cannot be read", fault)
         kept = np.array([i for i in range(len(self.images)) if i not in out], dtype=np.int64)
         if not kept.size:
             first = out[min(out)].where if out else f"{self.name}: holds no frame"
@@ -152,22 +154,24 @@ class FrameTable:
             self.notes.append(
                 Note(TURNED, f"{turned[0]}: as its EXIF orientation says; intrinsics must be those after")
             )
-        wide = sample_wide(self.images)
-        if wide is not None and wide.white < WIDEST:
-            self.notes.append(Note(SCALED_BITS, f"{self.images[0]}: {wide.white} of {WIDEST} is shown as white"))
-        if wide is not None and wide.high - wide.low < _LEAST_CONTRAST * wide.white:
-            where = f"{self.images[0]}: 99 % of the numbers lie between {wide.low:.0f} and {wide.high:.0f}"
-            advice = "stretch them to 8 bits, all images alike"
-            self.notes.append(Note(FLAT, f"{where} of {wide.white}; {advice}"))
-        if others or most != camera or wide is not None:
-            white = None if wide is None else wide.white
+        white = self._white_level()
+        if others or most != camera or white is not None:
             self.images = brought(self.images, cameras, camera, white, self.notes)
         return camera
 
-    def _without_image(self, camera: PinholeCamera, frames: list[int]) -> dict[int, Note]:
-        size = camera.width, camera.height
-        faults = ((i, image_fault(self.images[i], size)) for i in frames)
-        return {i: Note(_LEFT_OUT + "image cannot be read", fault) for i, fault in faults if fault}
+    def _white_level(self) -> int | None:
+        """The level that is shown as white in images of 16 bits, None for 8; told where it is not that of all bits."""
+        samples = sample_wide(self.images)
+        if not samples:
+            return None
+        white = max(map(white_level, samples))
+        if white < WIDEST:
+            self.notes.append(Note(SCALED_BITS, f"{self.images[0]}: {white} of {WIDEST} is shown as white"))
+        low, high = np.percentile(np.concatenate([wide.ravel() for wide in samples]), (0.5, 99.5))
+        if high - low < _LEAST_CONTRAST * white:
+            where = f"{self.images[0]}: 99 % of the numbers lie between {low:.0f} and {high:.0f} of {white}"
+            self.notes.append(Note(FLAT, f"{where}; stretch them to 8 bits, all images alike"))
+        return white
 
     def _unlikely(self, kept: IntArray, posed: IntArray) -> list[Note]:
         """Doubts about the units of times and positions."""
@@ -210,19 +214,14 @@ def _refuse_outside(images: list[Path], root: Path, source: Path | str) -> None:
 
     Links are followed: they are the choice of whoever keeps the folder, not of the list that names images.
     """
-    real_root = Path(os.path.realpath(root))
+    real_root = os.path.realpath(root)
     for path in images:
-        if (".." in path.parts or not path.is_relative_to(root)) and not _lies_in(path, real_root):
+        leads_out = ".." in path.parts or not path.is_relative_to(root)
+        if leads_out and not Path(os.path.realpath(path)).is_relative_to(real_root):
             raise DatasetError(
                 f"{source}: names {path}, which lies outside {root}; link it into the folder, or let it be followed "
                 "with follow_outside (--follow-outside on the command line)"
             )
-
-
-def _lies_in(path: Path, real_root: Path) -> bool:
-    last_is_name = path.name not in ("", "..") and not path.is_symlink()
-    real = Path(os.path.realpath(path.parent)) / path.name if last_is_name else Path(os.path.realpath(path))
-    return real.is_relative_to(real_root)
 
 
 def _in_seconds(times: FloatArray, source: str, notes: list[Note]) -> FloatArray:
@@ -288,9 +287,7 @@ def paired_by_time(
         poses[asked[np.abs(lost[nearest_in_time(lost, times[asked])] - times[asked]) < _SAME_S]] = np.nan
     if not np.isfinite(poses).any():
         hint = clock_hint(times[asked], truth.timestamps_s) if len(asked) and len(truth) else ""
-        step_s = float(np.median(np.diff(truth.timestamps_s))) if len(truth) > 1 else 0.0
-        if not hint and step_s > max_gap_s:
-            hint = f"; its poses are {step_s:.3g} s apart: write a longer gap into {limit.name}"
+        hint = hint or f"; or their gaps are longer: write a longer one into {limit.name}"
         some = f"; {counted(int((~sound).sum()), 'pose')} cannot be used: {faults[0]}" if faults else ""
         raise DatasetError(f"{path}: no image has a pose, or two within {max_gap_s:g} s around it, by time{hint}{some}")
     bridged = gaps[np.isfinite(poses[asked]).all(axis=1)]
@@ -298,8 +295,8 @@ def paired_by_time(
         count = counted(int((bridged > 0).sum()), "pose")
         where = f"{path}: {count} between its own; the largest gap bridged is {bridged.max():.3g} s"
         notes.append(Note(INTERPOLATED, where))
-    around = [
-        f"those around it are {gap:.3g} s apart" if gap < np.inf else "it is outside of their times" for gap in gaps
-    ]
-    why = {int(i): f"no pose within 1 ms in {path}, and {text}" for i, text in zip(asked, around, strict=True)}
+    why = {}
+    for i, gap in zip(asked.tolist(), gaps.tolist(), strict=True):
+        around = f"those around it are {gap:.3g} s apart" if np.isfinite(gap) else "it is outside of their times"
+        why[i] = f"no pose within 1 ms in {path}, and {around}"
     return poses, why

@@ -99,7 +99,7 @@ class Recording:
 
     @property
     def poses(self) -> Trajectory | None:
-        """The poses that are known: of all frames, or of those that have one."""
+        """Of all frames, or of those that have one."""
         return self.known_poses if self.truth is None else self.truth
 
     @property

@@ -145,13 +145,12 @@ def _check_folder(folder: Path) -> None:
 def _hint(folder: Path) -> str:
     """A data set in the folder, or images there that lack a camera."""
     below = sorted(path for path in folder.iterdir() if path.is_dir())
-    named = [shown(str(path)) for path in below if any(reader.recognises(path) for reader in readers().values())]
-    if named:
-        return f": name a folder in it, such as {', '.join(named[:3])}"
+    for place in below:
+        if any(reader.recognises(place) for reader in readers().values()):
+            return f": name a folder in it, such as {shown(str(place))}"
     for place in (folder, *below):
-        if pictures := image_files(place):
-            beside = f"put {INTRINSICS}, and poses if there are any, beside them"
-            return f": {shown(str(place))} holds {counted(len(pictures), 'image')}; {beside}"
+        if n := len(image_files(place)):
+            return f": {shown(str(place))} holds {counted(n, 'image')}; put {INTRINSICS} and poses beside them"
     return f": it holds no image ({', '.join(SUFFIXES)}), nor does a folder in it"
 
 

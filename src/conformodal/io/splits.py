@@ -89,8 +89,7 @@ def make_split(
     Raises
     ------
     SplitError
-        If a share is not positive, shares exceed the whole, a part would be empty, ``recordings`` finds fewer than
-        three recordings, or ``given`` finds no lists.
+        If shares do not fit, a part would be empty, or what the split needs is missing.
     """
     n = len(recording)
     kind = as_member(kind, SplitKind, "split", SplitError)
@@ -120,13 +119,7 @@ def make_split(
 def held_out_together(
     recording: IntArray, kind: SplitKind | str, n_blocks: int = 25, given_test: BoolArray | None = None
 ) -> IntArray:
-    """Number (n,) of each frame's piece: frames of one piece get into the same part of a split, see :func:`make_split`.
-
-    Raises
-    ------
-    SplitError
-        If ``given`` finds no lists, or there is no such split.
-    """
+    """Number (n,) of the piece of each frame: frames of one piece get into the same part of :func:`make_split`."""
     kind = as_member(kind, SplitKind, "split", SplitError)
     piece = np.empty(len(recording), dtype=np.int64)
     free, listed = _pieces(recording, kind, n_blocks, given_test)

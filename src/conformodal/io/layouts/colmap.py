@@ -74,19 +74,11 @@ def read_colmap(folder: Path) -> FrameTable:
         lenses[camera] = _lens(camera, size, notes)
     poses, why = _poses(model, names, notes)
     times, recording = times_by_folder(folder, images)
-    return FrameTable(
-        folder.name,
-        images,
-        times,
-        [lenses[camera] for camera in cameras],
-        poses,
-        recording,
-        why=why,
-        notes=notes,
-        root=folder if base.is_relative_to(folder) else base,
-        source=model.path,
-        as_stored=True,
+    table = FrameTable(
+        folder.name, images, times, [lenses[camera] for camera in cameras], poses, recording, why=why, notes=notes
     )
+    table.root, table.source, table.as_stored = folder if base.is_relative_to(folder) else base, model.path, True
+    return table
 
 
 def _image_folder(folder: Path, model: ColmapModel) -> Path:

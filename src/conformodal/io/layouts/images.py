@@ -27,8 +27,8 @@ _SINCE_1970 = [(unit, 5 * unit) for unit in (1e9, 1e12, 1e15, 1e18)]
 
 def looks_like_images(folder: Path) -> bool:
     """Whether there are images beside a camera or poses; other layouts may claim such a folder before."""
-    known = any((folder / name).is_file() for name in (INTRINSICS, *POSE_FILES))
-    return known and bool(image_files(folder))
+    described = any((folder / name).is_file() for name in (INTRINSICS, *POSE_FILES))
+    return described and bool(image_files(folder))
 
 
 def read_image_folder(folder: Path) -> FrameTable:

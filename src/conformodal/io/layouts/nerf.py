@@ -25,7 +25,7 @@ OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 _SUFFIXES = (*SUFFIXES, *map(str.upper, SUFFIXES))
 _LENS, _FISHEYE_LENS = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
 _FOCAL = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y")
-_OWN_CAMERA = (*_FOCAL, "cx", "cy", "w", "h", "camera_model", "is_fisheye", "k4", *_LENS)
+_CAMERA_KEYS = (*_FOCAL, "cx", "cy", "w", "h", "camera_model", "is_fisheye", "k4", *_LENS)
 _FISHEYE = "OPENCV_FISHEYE"
 _MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE", _FISHEYE)
 
@@ -69,19 +69,10 @@ def read_nerf(folder: Path) -> FrameTable:
     poses[unposed] = np.nan
     rows = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
     times, recording = times_by_folder(folder, images)
-    return FrameTable(
-        folder.name,
-        images,
-        times,
-        _cameras(path, cameras, images, notes),
-        rows,
-        recording,
-        why=why,
-        notes=notes,
-        root=folder,
-        source=path,
-        as_stored=True,
-    )
+    lenses = _cameras(path, cameras, images, notes)
+    table = FrameTable(folder.name, images, times, lenses, rows, recording, why=why, notes=notes)
+    table.root, table.source, table.as_stored = folder, path, True
+    return table
 
 
 def _matrix(rows: Any) -> list[list[float]]:
@@ -108,9 +99,9 @@ def _image(folder: Path, name: str) -> Path:
 
 def _stated(content: dict[str, Any], frame: dict[str, Any]) -> dict[str, Any]:
     """The camera of a frame: its values replace those on top, and one focal length or angle replaces all of them."""
-    own = {k: frame[k] for k in _OWN_CAMERA if frame.get(k) is not None}
-    replaced = _FOCAL if any(k in own for k in _FOCAL) else ()
-    camera = {k: content[k] for k in _OWN_CAMERA if content.get(k) is not None and k not in replaced} | own
+    of_frame = {k: frame[k] for k in _CAMERA_KEYS if frame.get(k) is not None}
+    replaced = _FOCAL if any(k in of_frame for k in _FOCAL) else ()
+    camera = {k: content[k] for k in _CAMERA_KEYS if content.get(k) is not None and k not in replaced} | of_frame
     if (other := next((k for k in content if "distort" in k and content[k]), None)) is not None:
         raise ValueError(f"has {other[:40]}, expected the lens as {', '.join(_LENS)}")
     named = {k: camera.pop(k) for k in ("camera_model", "is_fisheye") if k in camera}

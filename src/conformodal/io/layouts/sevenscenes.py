@@ -62,46 +62,33 @@ def read_sevenscenes(folder: Path) -> FrameTable:
     poses = _poses(images, why) if any(pose_path(path).exists() for path in images) else None
     intrinsics = _beside(INTRINSICS, recordings[0], folder)
     camera = camera_beside(folder if intrinsics is None else intrinsics.parent, common_size(images), CAMERA, notes)
-    return FrameTable(
-        name,
-        images,
-        times,
-        camera,
-        poses,
-        recording_of,
-        None if held_out is None else held_out[recording_of],
-        why,
-        notes,
-        source=pose_path(images[0]) if poses is None else folder,
-    )
+    tests = None if held_out is None else held_out[recording_of]
+    source = pose_path(images[0]) if poses is None else folder
+    return FrameTable(name, images, times, camera, poses, recording_of, tests, why, notes, source=source)
 
 
 def _listed_for_testing(folder: Path, recordings: list[Path]) -> BoolArray | None:
     """Which of a scene's recordings are in its list of test recordings; None without lists."""
     lists = [folder / name for name in _LISTS]
-    there = [path for path in lists if path.is_file()]
-    if not there:
+    missing = [path for path in lists if not path.is_file()]
+    if len(missing) == len(lists):
         return None
-    if len(there) < len(lists):
-        missing = next(path for path in lists if path not in there)
-        raise DatasetError(f"{missing}: is missing; {there[0].name} beside it needs it")
+    if missing:
+        raise DatasetError(f"{missing[0]}: is missing, and the other list is beside it")
     places = {int(path.name.removeprefix(_PREFIX)): i for i, path in enumerate(recordings)}
-    lines = [(path, at, line.strip()) for path in lists for at, line in enumerate(read_lines(path), start=1)]
     listed: dict[int, bool] = {}  # whether a recording tests
-    for path, at, text in lines:
-        if not text:
-            continue
-        match = _LISTED.fullmatch(text)
-        i = -1 if match is None else places.get(int(match[1]), -1)
-        if i < 0 or i in listed:
-            why = "is listed before" if i >= 0 else f"is not a recording in {folder}, as sequence1 stands for seq-01"
-            raise DatasetError(f"{path}: line {at}, {text[:80]!r}, {why}")
-        listed[i] = path is lists[1]
+    for path in lists:
+        for at, text in enumerate(map(str.strip, read_lines(path)), start=1):
+            match = _LISTED.fullmatch(text)
+            i = -1 if match is None else places.get(int(match[1]), -1)
+            if text and (i < 0 or i in listed):
+                why = "is listed before" if i >= 0 else f"does not stand for a folder in {folder}"
+                raise DatasetError(f"{path}: line {at}, {text[:80]!r}, {why}")
+            listed |= {i: path is lists[1]} if text else {}
+        if (path is lists[1]) not in listed.values():
+            raise DatasetError(f"{path}: names no recording, expected one or more")
     if unlisted := [path.name for i, path in enumerate(recordings) if i not in listed]:
         raise DatasetError(f"{lists[0]}: names {unlisted[0]} in no line, nor does {lists[1].name}")
-    for path, tests in zip(lists, (False, True), strict=True):
-        if tests not in listed.values():
-            raise DatasetError(f"{path}: names no recording, expected one or more")
     return np.array([listed[i] for i in range(len(recordings))])
 
 
