@@ -32,7 +32,7 @@ def train_and_look(data: Path, config: ModelConfig, out: Path) -> None:
     print(f"{sequence.image_paths[run.frames[most]].name}: its region has {n_boxes[most]} boxes; every combination of")
     for axis, parts in zip("xyz", run.regions.intervals(most)[:3], strict=True):
         print(f"  {axis}: " + " or ".join(f"{low:.2f} to {high:.2f} m" for low, high in parts))
-    (out / "region.svg").write_text(plan_figure(run, most, truth), encoding="utf-8")
+    (out / "region.svg").write_text(plan_figure(run.regions, run.trajectory, most, truth), encoding="utf-8")
 
     statistics = RegionStatistics.of(run.regions, truth, model.sign_reference, run.kinds)
     held = coverage_table(statistics, model, exchangeable=True)  # frames were held out at random

@@ -74,13 +74,13 @@ def test_a_stream_that_breaks_off_leaves_no_thread():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("broken", ["ResultsWriter", "write_metrics", "progress_bars"])
+@pytest.mark.parametrize("broken", ["answering.ResultsWriter", "answering.write_metrics", "run.progress_bars"])
 def test_a_run_that_cannot_write_closes_what_it_has_opened(small_world, tmp_path, monkeypatch, broken):
     def full(*arguments, **options):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(run, broken, full)
+    monkeypatch.setattr(f"conformodal.cli.{broken}", full)
     arguments = ["run", small_world.model, small_world.folder, "--out", tmp_path / "out", "--save", tmp_path / "a.mcap"]
-    found = CliRunner().invoke(app, [str(a) for a in [*arguments, "--view"]])
-    assert found.exit_code != 0
+    result = CliRunner().invoke(app, [str(a) for a in [*arguments, "--limit", 3, "--view"]])
+    assert result.exit_code != 0
     assert [recorder.open for recorder in opened] == [False, False]

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from conformodal.cli.outcome import Part, part_frames
+from conformodal.cli.answering import Part, part_frames
 from conformodal.geometry import PinholeCamera, Trajectory
 from conformodal.io import PixelNoise, Recording, read_recording
 from conformodal.pipeline.errors import OdometryError

@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
-import numpy as np
 from rich.table import Table
 
-from conformodal.core.arrays import IntArray
 from conformodal.core.words import counted, noun_for
-from conformodal.geometry import Trajectory
-from conformodal.io import Recording
-from conformodal.localizer.region_rules import EvidenceType
-from conformodal.pipeline.errors import OdometryError
-from conformodal.pipeline.evaluate import RegionStatistics, coverage_table, error_table, is_exchangeable, radius_table
-from conformodal.pipeline.identity import identify
-from conformodal.pipeline.model import HINDSIGHT, ONLINE, PoseModel
-from conformodal.pipeline.provenance import provenance
+from conformodal.pipeline.model import HINDSIGHT, ONLINE
 
 from .console import console, report_line, report_strongly
 
@@ -28,102 +17,6 @@ _NAMES = {
     "hindsight": "hindsight, not smoothed",
 }
 _SAME_CAMERA = 1e-6  # share of the image width that intrinsics may differ by: text files round them
-
-
-class Part(StrEnum):
-    """Which frames of a source to answer."""
-
-    ALL = "all"
-    TRAIN = "train"
-    CALIBRATION = "calibration"
-    TEST = "test"
-
-
-@dataclass(frozen=True, eq=False)
-class GroundTruth:
-    """True poses of answered frames, and what is known of these frames' regions."""
-
-    truth: Trajectory
-    regions: RegionStatistics
-    frames: IntArray | None = None  # which of the answered frames they are, counted from 0; None for all
-    paths: dict[str, Any] | None = None  # coverage of their regions from posteriors; None without such regions
-
-
-def part_frames(model: PoseModel, sequence: Recording, part: Part) -> IntArray | None:
-    """Where the frames of a part of the model's own data set are in a sequence, increasing; None for all.
-
-    They are recognised by their pixels. Those that the sequence lacks are left out, and their number is printed.
-    """
-    if part is Part.ALL:
-        return None
-    rows = model.split.part(str(part))
-    matches = model.known_frames.find(identify(sequence, model.known_frames))
-    at, elsewhere = matches.at[rows], matches.moved[rows]
-    n, where = counted(len(rows), "frame"), f"the {part} part of {model.configuration['data']}"
-    shown = np.sort(np.maximum(at, elsewhere))
-    if (shown < 0).all():
-        raise OdometryError(f"{sequence.name}: has none of the {n} of {where}; give that data set or run on all")
-    try:
-        model.check_camera(sequence.camera, _SAME_CAMERA)
-    except OdometryError as exc:
-        first = sequence.image_paths[shown[shown >= 0][0]]
-        raise OdometryError(f"{first}: is a frame of {where}, but from another camera: {exc}") from None
-    other_pose = np.sort(elsewhere[elsewhere >= 0])
-    if len(other_pose):
-        first = sequence.image_paths[other_pose[0]]
-        raise OdometryError(f"{first}: is a frame of {where}, but has another pose, as {len(other_pose)} of {n} have")
-    n_missing = int((at < 0).sum())
-    if n_missing:
-        report_line(f"{n_missing} of {n} of {where} are not in {sequence.name}, or have no pose there")
-    return np.sort(at[at >= 0])
-
-
-def run_metrics(
-    model: PoseModel,
-    part: Part,
-    trajectories: dict[str, Trajectory],
-    known: GroundTruth | None,
-    counts: dict[str, Any],
-    *,
-    whole: bool = True,
-) -> dict[str, Any]:
-    """The content of ``metrics.json``.
-
-    `whole` is whether every frame of the part was answered, as in calibration: the guarantee holds for these only.
-    """
-    metrics = _origin(model, part) | {
-        "split": str(model.split.kind),
-        "split_note": _split_note(model, part, counts["n_answered"]),
-        **counts,
-    }
-    # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it says nothing
-    radius = model.radius if whole and part is Part.ALL else None
-    truth, frames = (None, None) if known is None else (known.truth, known.frames)
-    metrics["radius"] = radius_table(radius, trajectories, truth, frames)
-    if known is not None:
-        metrics["n_with_truth"] = len(known.truth)
-        if frames is not None:
-            trajectories = {name: trajectory[frames] for name, trajectory in trajectories.items()}
-        metrics["errors"] = error_table(trajectories, known.truth)
-        shown = known.regions.kinds != EvidenceType.UNKNOWN
-        if shown.any() and not shown.all():
-            there = {name: trajectory[shown] for name, trajectory in trajectories.items()}
-            metrics["errors_known_places"] = error_table(there, known.truth[shown])
-        whole = whole and part is not Part.ALL and counts["n_answered"] == len(model.split.part(str(part)))
-        exchangeable, seen = whole and is_exchangeable(model, str(part)), part in (Part.TRAIN, Part.CALIBRATION)
-        metrics["coverage"] = coverage_table(known.regions, model, exchangeable=exchangeable, seen=seen)
-        metrics["path_coverage"] = known.paths
-    return metrics
-
-
-def _origin(model: PoseModel, part: Part) -> dict[str, Any]:
-    return {
-        "command": "run",
-        "provenance": provenance(),
-        "configuration": {**model.settings, "part": str(part)},
-        "seed": model.split.seed,
-        "sign_reference_quat_wxyz": model.sign_reference.tolist(),
-    }
 
 
 def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:
@@ -218,11 +111,3 @@ def describe_coverage(coverage: dict[str, Any]) -> str:
         f"{held} of {counted(n_bounded, 'bounded region')} ({100 * coverage['bounded_coverage']:.1f} %) "
         f"{noun_for(held, 'holds', 'hold')} the whole pose{smallest}; {unbounded} in some target"
     )
-
-
-def _split_note(model: PoseModel, part: Part, n_answered: int) -> str:
-    if part is Part.ALL:
-        return "all frames of the source (training frames among them, if the source is the training data)."
-    n = len(model.split.part(str(part)))
-    some = "" if n_answered == n else f"{n_answered} of {counted(n, 'frame')} of "
-    return f"{some}the {part} part of split {model.split.kind}, seed {model.split.seed}."

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from conformodal.conformal import Regions
 from conformodal.core.arrays import FloatArray
 from conformodal.core.extras import require_extra
 from conformodal.core.words import as_utf8
 from conformodal.geometry import Trajectory
-from conformodal.pipeline.estimates import OdometryRun
 
 with require_extra("figures", "a figure"):
     import matplotlib as mpl
@@ -35,16 +35,17 @@ _RING, _LEAST_BOX = 16, 2.5  # points: across a mark, and the width of a box's o
 
 
 def plan_figure(
-    run: OdometryRun,
+    regions: Regions,
+    answer: Trajectory,
     index: int,
     truth: Trajectory | None,
     *,
     classical: Trajectory | None = None,
     walls: Sequence[FloatArray] = (),
     alike: FloatArray | None = None,
-    answer: str = "conformal, after reasoning",
+    label: str = "conformal, after reasoning",
 ) -> str:
-    """One frame's disjoint regions from above, with the chosen pose, named `answer` in the legend.
+    """One frame's disjoint regions from above, with the pose of the answer, named `label` in the legend.
 
     `walls` are (2, 2) segments, `alike` (m, 3) other places with the same view.
     """
@@ -54,8 +55,8 @@ def plan_figure(
         axis.plot(*wall.T, color=COLOURS["wall"], lw=1)
     if truth is not None:
         axis.plot(*truth.positions_xyz[:, :2].T, color=COLOURS["wall"], lw=0.4, alpha=0.6)
-    parts = run.regions.intervals(index)
-    edges = run.regions.bins.edges_
+    parts = regions.intervals(index)
+    edges = regions.bins.edges_
     clip = [np.clip(parts[a], edges[a][0], edges[a][-1]) for a in (0, 1)]
     for (a, b), (c, d) in product(*clip):
         box = Rectangle((a, c), b - a, d - c, fc=COLOURS["region"], ec=COLOURS["region"], lw=_LEAST_BOX)
@@ -65,14 +66,14 @@ def plan_figure(
     if alike is not None and len(alike):
         style: dict[str, Any] = {"ms": _RING, "mfc": "none", "mew": 1.6, "color": COLOURS["alike"]}
         axis.plot(*alike[:, :2].T, "s", **style, label="places that look the same")
-    for path, label, shape, colour, size in (
-        (run.trajectory, answer, "o", "smoothed", _RING),
+    for path, name, shape, colour, size in (
+        (answer, label, "o", "smoothed", _RING),
         (classical, "classical regressor", "X", "classical", 9),
         (truth, "truth", "+", "truth", 7),
     ):
         if path is not None:
             style = {"mew": 1.6, "mfc": "none" if shape == "o" else COLOURS[colour], "color": COLOURS[colour]}
-            axis.plot(*path.positions_xyz[index, :2], shape, ms=size, zorder=5, label=label, **style)
+            axis.plot(*path.positions_xyz[index, :2], shape, ms=size, zorder=5, label=name, **style)
     axis.set_aspect("equal", adjustable="datalim")
     axis.set_xlabel("x (m)")
     axis.set_ylabel("y (m)")
