@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from conformodal.io import DatasetError, make_split
-from conformodal.io.joining import JoinedStream, join_recordings, join_streams
-from conformodal.io.streams.frames import SourceError
+from conformodal.io.joining import join_recordings, join_streams
+from conformodal.io.streams import SourceError, open_stream
 from conformodal.io.streams.stored import RecordingStream
 from conformodal.io.streams.video import CameraStream
+from tests.io.streams.test_streams import video
 
 
 def part(sequence, first, last, **changes):
@@ -68,12 +69,13 @@ def test_a_frame_in_two_data_sets_is_refused(sequence):
         join_recordings([])
 
 
-def test_streams_of_several_kinds_run_one_after_the_other(sequence):
+def test_streams_of_several_kinds_run_one_after_the_other(sequence, tmp_path):
     one, other = (RecordingStream(part(sequence, *rows)) for rows in ((10, 14), (0, 3)))
     assert isinstance(join_streams([one, other]), RecordingStream)
-    frames = list(JoinedStream((one, other)))
-    assert [frame.recording for frame in frames] == [4, 4, 4, 4, 9, 9, 9]
+    stream = join_streams([one, open_stream(video(tmp_path / "v.avi", n=3)), other])
+    frames = list(stream)
+    assert [frame.recording for frame in frames] == [4, 4, 4, 4, 5, 5, 5, 10, 10, 10]
     assert (np.diff([frame.timestamp_s for frame in frames]) > 0).all()
-    assert JoinedStream((one, other)).n_frames == 7
+    assert (stream.n_frames, stream.camera) == (10, one.camera)
     with pytest.raises(SourceError, match="never ends"):
         join_streams([CameraStream(0, None), one])

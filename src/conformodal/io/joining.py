@@ -98,31 +98,14 @@ def _test_frames(parts: Sequence[Recording]) -> BoolArray | None:
 
 @dataclass(frozen=True, eq=False)
 class JoinedStream:
-    """Streams one after the other, joined as :func:`join_recordings` joins data sets."""
+    """Streams one after the other, joined as :func:`join_recordings` joins data sets; see :func:`join_streams`."""
 
     streams: tuple[FrameStream, ...]
+    name: str
+    camera: PinholeCamera | None
+    n_frames: int | None
+    notes: tuple[Note, ...]
     live = False
-
-    @property
-    def name(self) -> str:
-        """All of their names."""
-        return " + ".join(stream.name for stream in self.streams)
-
-    @property
-    def camera(self) -> PinholeCamera | None:
-        """Of the first that knows it."""
-        return next((stream.camera for stream in self.streams if stream.camera is not None), None)
-
-    @property
-    def notes(self) -> tuple[Note, ...]:
-        """Of all."""
-        return tuple(note for stream in self.streams for note in stream.notes)
-
-    @property
-    def n_frames(self) -> int | None:
-        """Of all, or None where one does not know."""
-        counts = [stream.n_frames for stream in self.streams]
-        return None if None in counts else sum(count or 0 for count in counts)
 
     def __iter__(self) -> Iterator[Frame]:
         """Decode frame after frame."""
@@ -152,4 +135,11 @@ def join_streams(streams: Sequence[FrameStream]) -> FrameStream:
     data_sets = [stream.sequence for stream in streams if isinstance(stream, RecordingStream)]
     if len(data_sets) == len(streams):
         return RecordingStream(join_recordings(data_sets))
-    return JoinedStream(tuple(streams))
+    counts = [stream.n_frames for stream in streams]
+    return JoinedStream(
+        tuple(streams),
+        name=" + ".join(stream.name for stream in streams),
+        camera=next((stream.camera for stream in streams if stream.camera is not None), None),
+        n_frames=None if None in counts else sum(count or 0 for count in counts),
+        notes=tuple(note for stream in streams for note in stream.notes),
+    )

@@ -19,17 +19,8 @@ from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import MissingPackageError
 from conformodal.core.ranges import as_member
 from conformodal.geometry.lens import Fisheye
+from conformodal.io.streams import ros_messages
 from conformodal.io.streams.frames import SourceError
-from conformodal.io.streams.ros_messages import (
-    COMPRESSED,
-    INFO,
-    RAW,
-    camera_of_info,
-    image_of,
-    key_of_info,
-    rosbags_image,
-    stamp_s,
-)
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimates import Estimate
 from conformodal.pipeline.estimator import Odometry
@@ -72,11 +63,11 @@ class PoseNode:
         compressed: bool = False,
         silent_s: float = 1.0,
     ) -> None:
-        rosbags_image()  # missing packages are told before the first image
+        ros_messages.rosbags_image()  # missing packages are told before the first image
         self.odometry, self._node, self._silent_s = odometry, node, silent_s
         self._log = node.get_logger()
         self._conversion = Conversion(how, make_message)
-        self._kind = COMPRESSED if compressed else RAW
+        self._kind = ros_messages.COMPRESSED if compressed else ros_messages.RAW
         self._last_s: float | None = None
         self._answered_ns: int | None = None
         self._camera = ""  # as it was last published
@@ -89,17 +80,17 @@ class PoseNode:
         sensor = import_module("rclpy.qos").qos_profile_sensor_data
         images = node.create_subscription(message_class(self._kind), "image", self.on_image, sensor)
         self._topic = str(getattr(images, "topic_name", "image"))  # remapped: whether it is rectified
-        node.create_subscription(message_class(INFO), "camera_info", self.on_camera_info, sensor)
+        node.create_subscription(message_class(ros_messages.INFO), "camera_info", self.on_camera_info, sensor)
         node.create_timer(silent_s, self.on_time)
 
     def on_camera_info(self, message: Any) -> None:
         """Compare the camera with the model's; images of another one are answered as lost."""
-        camera = key_of_info(message)
+        camera = ros_messages.key_of_info(message)
         if camera == self._camera:
             return
         self._camera, before = camera, self._refused
         try:
-            lens = camera_of_info(message, "camera_info", self._topic)
+            lens = ros_messages.camera_of_info(message, "camera_info", self._topic)
             if isinstance(lens, Fisheye):
                 raise SourceError(f"camera_info: lens {message.distortion_model}, expected undistorted images")
             self.odometry.model.check_camera(lens)
@@ -112,7 +103,7 @@ class PoseNode:
 
     def on_image(self, message: Any) -> None:
         """Answer an image, with messages that have its time."""
-        time_s = stamp_s(message)
+        time_s = ros_messages.stamp_s(message)
         if not self._is_new(time_s):
             return
         if self._refused:
@@ -120,7 +111,7 @@ class PoseNode:
         else:
             image, problem = None, ""
             try:
-                image = image_of(message, self._kind)
+                image = ros_messages.image_of(message, self._kind)
             except ValueError as exc:
                 problem = str(exc)
             estimate = self.odometry.step(image, time_s)

@@ -50,21 +50,11 @@ def is_bag(path: Path) -> bool:
 
 @dataclass
 class _Clock:
-    """The times of a recording by the stamps of its messages, some of which may be wrong; the clock may be set.
+    """The times of a recording by the stamps of its messages, some of which may be wrong; the clock may be set."""
 
-    Attributes
-    ----------
-    offset_s
-        Of the stamps' clock to that of reception, by the last message.
-    time_s
-        Of the last message.
-    recording
-        Its recording: where the clock is set, another begins.
-    """
-
-    offset_s: float
-    time_s: float = -np.inf
-    recording: int = 0
+    offset_s: float  # of the stamps' clock to that of reception, by the last message
+    time_s: float = -np.inf  # of the last message
+    recording: int = 0  # of the last message: where the clock is set, another begins
     _shift_s: float = 0.0
     _received_s: float = 0.0
     _stray_s: float | None = None  # stamp of the message before, if it strayed
