@@ -68,7 +68,11 @@ ALPHA = 0.1
 KITCHENS = ("redkitchen, interleaved", "redkitchen, blocks")
 PLACES = (*KITCHENS, "corridor")
 EVERY = {"1/6 s": 0.0, "1 s": 1.0, "3 s": 3.0}  # a fifth of 30 frames per second: a sixth of a second apart
-WITHOUT = {"landmarks": {"sources": ("head",)}, "order-aware labels": {"sigma_bins": 0.0}}  # models of their own
+WITHOUT = {  # models of their own
+    "landmarks": {"sources": ("head", "neighbours")},
+    "neighbours": {"sources": ("head", "landmarks")},
+    "order-aware labels": {"sigma_bins": 0.0},
+}
 PAPER, OURS = "the paper's system", "ours"
 
 

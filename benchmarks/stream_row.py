@@ -19,13 +19,14 @@ from conformodal.features.backbone import Backbone  # noqa: E402
 from conformodal.io import read_image  # noqa: E402
 from conformodal.localizer.filter import PoseFilter  # noqa: E402
 from conformodal.localizer.sources.landmarks import LandmarkSource  # noqa: E402
+from conformodal.localizer.sources.neighbours import NeighbourSource  # noqa: E402
 from conformodal.pipeline import estimator  # noqa: E402
 from conformodal.pipeline.estimator import VisualOdometry  # noqa: E402
 from conformodal.pipeline.model import PoseModel  # noqa: E402
 from conformodal.tracking.frontend import MotionFrontEnd  # noqa: E402
 
 WARM = 10
-PARTS = ("network", "tracking and relative pose", "local features", "landmarks", "regions", "filter")
+PARTS = ("network", "tracking and relative pose", "local features", "landmarks", "neighbours", "regions", "filter")
 
 
 def answer(model: Path, images: list[str]) -> dict[str, Any]:
@@ -65,6 +66,7 @@ def time_parts(seconds: dict[str, float]) -> None:
         (MotionFrontEnd, "measure", "tracking and relative pose"),
         (estimator, "extract_local_features", "local features"),
         (LandmarkSource, "answer", "landmarks"),
+        (NeighbourSource, "answer", "neighbours"),
         (PoseModel, "image_regions", "regions"),
         (PoseModel, "path_regions", "regions"),
         (PoseFilter, "push", "filter"),

@@ -27,7 +27,7 @@ from conformodal.pipeline.store import save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 
 SIZES = {"640x480": (640, 480), "1280x720": (1280, 720)}
-SOURCES = (("head", "landmarks"), ("head",))
+SOURCES = (("head", "neighbours", "landmarks"), ("head", "neighbours"))
 
 
 def enlarged(sequence: Recording, size: tuple[int, int], folder: Path) -> Recording:

@@ -56,7 +56,7 @@ def learn(folder: Path, seed: int) -> tuple[PoseModel, Recording]:
         poses = visiting_path(N_VISITS, 2 * seed + k).poses_se3
         write_flight(folder / part / "seq-01", renderer, poses, noise_seed=(2 * seed + k) * 1_000_003)
     cache = FeatureCache(folder / "cache")
-    config = ModelConfig(alpha=ALPHA, seed=seed, sources=("head",), training=replace(TRAINING, seed=seed))
+    config = ModelConfig(alpha=ALPHA, seed=seed, sources=("head", "neighbours"), training=replace(TRAINING, seed=seed))
     model = train_model(prepare_training_data(read_recording(folder / "train"), config, cache), config)
     return model, read_recording(folder / "test")
 

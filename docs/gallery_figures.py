@@ -46,7 +46,7 @@ def run_in_corridor(folder: Path) -> tuple[Any, Trajectory]:
     write_corridor(folder, n_modules=N_MODULES, n_laps=N_LAPS, seed=0)
     sequence = read_recording(folder)
     training = TrainingConfig(epochs=EPOCHS, dropout=DROPOUT, components=None)
-    config = ModelConfig(alpha=0.1, sources=("head",), training=training)
+    config = ModelConfig(alpha=0.1, sources=("head", "neighbours"), training=training)
     model = train_model(prepare_training_data(sequence, config, FeatureCache(None)), config)
     run = VisualOdometry(model).process(sequence, model.split.test)
     return run, sequence.require_truth()[run.frames]
