@@ -3,7 +3,7 @@ import pytest
 import torch
 from PIL import Image
 
-from conformodal.features.backbone import BackboneConfig, feature_views
+from conformodal.features.backbone import BackboneConfig, coarse_features, feature_views
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.heads import Head
 from conformodal.features.networks.torch_backbone import TorchBackbone
@@ -127,3 +127,17 @@ def test_equal_features_have_no_directions_though_their_mean_is_rounded(value):
     through = fit_projection(np.full((37, 9), value, dtype=np.float32), 4)
     assert through.components.shape == (9,)
     assert np.abs(through.apply(np.full((1, 9), value, dtype=np.float32))).max() < 1e-3
+
+
+@pytest.mark.parametrize("grid", [(3, 4), (12, 4), (1, 1), (5, 7)])
+def test_coarse_features_follow_the_grid_of_their_network(grid):
+    rows, columns = grid
+    features = np.random.default_rng(2).normal(size=(5, 4 * rows * columns + 768)).astype(np.float32)
+    maps = features[:, : 4 * rows * columns].reshape(5, 4, rows, columns)
+    expected = [
+        maps[:, :, i : i + 2, j : j + 2].mean(axis=(2, 3)) for i in range(0, rows, 2) for j in range(0, columns, 2)
+    ]
+    coarse = coarse_features(features, grid)
+    np.testing.assert_allclose(coarse, np.stack(expected, axis=2).reshape(5, -1), rtol=1e-5, atol=1e-6)
+    with pytest.raises(VisionError, match="7 by 9"):
+        coarse_features(features, (7, 9))

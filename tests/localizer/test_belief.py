@@ -143,28 +143,6 @@ def test_signs_of_quaternions_are_those_of_the_reference(sign):
         assert edges[best] <= q <= edges[best + 1]
 
 
-def test_of_several_estimates_of_one_source_at_most_one_is_right(bins):
-    proba, cells = softmaxes(bins, 1), belief_cells(bins)
-    two = [estimate([0.5, 1, 1], probability=0.8, sigma_m=1e-3), estimate([3.0, 1, 1], probability=0.5, sigma_m=1e-3)]
-    found = marginals(bins, proba, mixture(two))[0][0]
-    plain = marginals(bins, proba, mixture())[0][0]
-    centers = cells.centers[0]
-    shares = [found[np.abs(centers - x) < 0.3].sum() for x in (0.5, 3.0)]
-    # odds of 4 : 1 : 1 for the first, the second, and neither
-    without = [plain[np.abs(centers - x) < 0.3].sum() / 6 for x in (0.5, 3.0)]
-    # Student's tails reach beyond 300 standard deviations with a probability of 1e-7
-    assert shares == pytest.approx([4 / 6 + without[0], 1 / 6 + without[1]], abs=1e-6)
-
-
-def test_parts_are_believed_as_the_whole(bins):
-    whole = beliefs(softmaxes(bins, 4), *[mixture([estimate([x, 1, 1])]) for x in (0.5, 1.0, 1.5, 2.0)])
-    assert len(whole) == 4
-    cells = belief_cells(bins)
-    parts = [whole.part(slice(a, b)).marginals(bins, cells, SIGN) for a, b in ((0, 1), (1, 4))]
-    for one, *split in zip(whole.marginals(bins, cells, SIGN), *parts, strict=True):
-        np.testing.assert_array_equal(one, np.concatenate(split))
-
-
 def test_a_place_is_recognised_by_an_estimate_that_is_probably_right():
     unsure, sure = (
         estimate([0, 0, 0], probability=BELIEF.recognised - 0.01),

@@ -117,15 +117,6 @@ def test_probabilities_are_those_of_all_sequences_together(monkeypatch):
     np.testing.assert_allclose([p.probability for p in found], np.sort(first_two / first_two.sum())[::-1], rtol=2e-3)
 
 
-def test_many_vague_hypotheses_of_a_place_outweigh_a_sharp_one_elsewhere():
-    x = np.append(np.linspace(-0.03, 0.03, 5), 5.0)
-    one = Posterior(hypotheses(x, [0.15] * 5 + [0.25], spread=[0.2] * 5 + [0.01]), 0.2)
-    places = find_places(one, PRIOR)
-    assert [round(p.probability, 6) for p in places] == [0.6, 0.2]  # and 0.2 elsewhere
-    np.testing.assert_allclose(places[0].position_xyz, 0, atol=1e-12)
-    assert places[0].position_spreads[0] > 0.2 > places[1].position_spreads[0]
-
-
 @pytest.mark.parametrize("n", [1, 10, 40])
 def test_tempering_does_not_favour_a_place_that_is_told_in_many_hypotheses(n):
     rng = np.random.default_rng(0)
@@ -209,19 +200,6 @@ def test_a_stream_is_lost_until_it_shows_a_known_place():
     assert not any(its.lost for its in hindsight_posteriors(seen, prior))  # what follows leads back
 
 
-def test_hypotheses_of_one_place_do_not_crowd_out_what_images_say():
-    """Sure of 5 m, in sixty variants, of which each image keeps a trace; it says 0 m from now on."""
-    rng = np.random.default_rng(0)
-    x = 5 + 0.02 * rng.normal(size=60)
-    sure = hypotheses(x, np.full(60, 1 / 60), spread=rng.uniform(0.03, 0.06, 60))
-    image = hypotheses([0.0, *x[:47]], [1.0, *np.full(47, 1e-4)], spread=[0.03, *rng.uniform(0.03, 0.06, 47)])
-    seen = Observations([sure] * 5 + [image] * 25, [None] * 30, 0.1 * np.arange(30))
-    prior = replace(PRIOR, top_speed_mps=(0.5, 0.5), volume_m3=1e3)
-    found = choose_places(filter_posteriors(seen, prior), seen.timestamps_s, prior)[0]
-    assert abs(found.positions_xyz[4, 0] - 5) < 0.1
-    assert abs(found.positions_xyz[-1, 0]) < 0.1
-
-
 @pytest.mark.parametrize("step_s", [0.1, 0.3])
 def test_spreads_of_a_camera_that_is_not_seen_grow_with_the_time_not_with_its_root(step_s):
     n = round(3.0 / step_s) + 1
@@ -291,26 +269,3 @@ def test_what_a_stream_cannot_use_is_refused():
         pose_filter.push(one, None, 1.0)
     pose_filter.reset()
     pose_filter.push(one, None, 1.0)
-
-
-def test_an_outlier_of_the_rotation_does_not_turn_what_image_and_past_agree_on():
-    _, positions, rotations = path(2)
-    motion = replace(exact_motions(positions, rotations)[1], R_prev_next=Rotation.from_rotvec([0, 0, 1.0]).as_matrix())
-    ahead = predict(Posterior(hypotheses([0.0], [1.0]), 1e-7), motion, 0.1, PRIOR)
-    found = find_places(update(ahead, hypotheses([0.0], [1.0]), PRIOR, wrong=1e-6, tempering=1.0), PRIOR)[0]
-    assert angle_between_quats(found.orientation_quat_wxyz, FACING) < np.radians(0.5)
-
-
-@pytest.mark.parametrize(
-    ("step_s", "volume_m3", "speed"),
-    [(60.0, 50.0, 1.0), (2.0, 0.025, 1.0), (5.0, 1e-5, 1.0), (3.0, 50.0, 1e6)],
-    ids=["a long gap", "a plane", "a line", "any speed"],
-)
-def test_images_decide_where_the_prediction_is_vaguer_than_the_volume(step_s, volume_m3, speed):
-    x = np.array([0.0, 5.0, 0.0, 5.0, 2.0])
-    seen = Observations([hypotheses([here], [1.0]) for here in x], [None] * 5, step_s * np.arange(5))
-    prior = replace(PRIOR, top_speed_mps=(speed, speed), volume_m3=volume_m3)
-    for reasoner in (filter_posteriors, hindsight_posteriors):
-        found, probability = choose_places(reasoner(seen, prior), seen.timestamps_s, prior)
-        assert np.abs(found.positions_xyz[:, 0] - x).max() < 0.1
-        assert probability.min() > 0.9

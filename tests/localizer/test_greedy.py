@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import MotionStatus, RelativeMotion
 from conformodal.localizer.candidates import BinRuns
-from conformodal.localizer.errors import ReasoningError
 from conformodal.localizer.greedy import greedy
 
 
@@ -97,13 +96,6 @@ def test_components_that_cancel_leave_the_orientation_before():
     )
     found = greedy([there, nothing], [None, None], [0, 1])
     np.testing.assert_array_equal(found.orientations_quat_wxyz, [[0, 1, 0, 0]] * 2)
-
-
-@pytest.mark.parametrize(("n_motions", "n_times"), [(1, 2), (2, 1), (3, 3)])
-def test_lengths_that_differ_are_refused(n_motions, n_times):
-    intervals = [some_intervals(np.random.default_rng(0), [2] * 7) for _ in range(2)]
-    with pytest.raises(ReasoningError, match="2 frames"):
-        greedy(intervals, [None] * n_motions, np.arange(n_times))
 
 
 def test_without_a_direction_the_place_is_the_most_probable():

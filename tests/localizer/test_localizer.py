@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins
-from conformodal.features.local import LocalFeatures
 from conformodal.localizer.candidates import mode_candidates
 from conformodal.localizer.errors import LocalizationError
 from conformodal.localizer.evidence import FrameEvidence
@@ -60,15 +59,6 @@ def test_there_is_a_source_and_all_have_different_names(bins):
     with pytest.raises(LocalizationError, match=r"different names.*'told', 'told'"):
         Localizer((told(), told()), bins, SIGN)
     assert Localizer((told(), told(Other)), bins, SIGN).sources[1].name == "other"
-
-
-@pytest.mark.usefixtures("known")
-def test_names_that_are_unknown_or_there_twice_are_refused(data_of):
-    data, frames = data_of(30), np.arange(20)
-    with pytest.raises(LocalizationError, match=r"one of head, .*told.*got 'nobody'"):
-        Localizer.fit_each(data, [frames], ("told", "nobody"))[0]
-    with pytest.raises(LocalizationError, match="different names"):
-        Localizer.fit_each(data, [frames], ("told", "told"))[0]
 
 
 @pytest.mark.usefixtures("known")
@@ -128,12 +118,3 @@ def test_only_sources_that_look_at_local_features_recognise_places(bins):
     found = Localizer((everywhere, local), bins, SIGN).beliefs(images(2))
     assert [[one.position_xyz[0] for one in its] for its in found.estimates] == [[], [4.0, 5.0]]
     assert found.recognised.tolist() == [False, True]
-
-
-def test_evidence_has_local_features_of_all_images_or_of_none():
-    some = LocalFeatures(np.empty((0, 2)), np.empty((0, 32), np.uint8), np.zeros(768, np.float32))
-    features = np.zeros((2, 4), np.float32)
-    assert len(FrameEvidence(features, [some] * 2)) == len(FrameEvidence(features)) == 2
-    for wrong in ([some], [some] * 3):
-        with pytest.raises(LocalizationError, match=f"2 images need as many local features, or none, got {len(wrong)}"):
-            FrameEvidence(features, wrong)

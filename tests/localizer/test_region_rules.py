@@ -4,7 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from conformodal.conformal import QuantileBins, Regions, SplitConformal, conformal_quantile, grouped_coverage_band
+from conformodal.conformal import QuantileBins, SplitConformal, conformal_quantile, grouped_coverage_band
 from conformodal.localizer.region_rules import EvidenceType, RegionRules
 from conformodal.pipeline.evaluate import RegionStatistics, coverage_table
 
@@ -105,15 +105,6 @@ def test_the_guarantee_holds_in_each_type(joint, alpha, n_members):
         for chosen in (recognised, ~recognised):
             if chosen.any():
                 assert (events[chosen].mean(axis=0) <= alpha + 1e-12).all()
-
-
-def test_regions_of_the_unknown_are_unbounded_in_all_targets(bins, rules):
-    proba = [np.random.default_rng(j).dirichlet(np.ones(5), size=3) for j in range(7)]
-    limits = rules.thresholds(np.array([UNMATCHED, UNKNOWN, UNMATCHED]))
-    regions = rules.overall.regions_at(proba, limits)
-    assert isinstance(regions, Regions)
-    np.testing.assert_array_equal(regions.unbounded, np.tile([[False], [True], [False]], 7))
-    assert regions.contains(np.full((3, 7), 1e9)).all(axis=1).tolist() == [False, True, False]
 
 
 @pytest.mark.parametrize("joint", ["none", "bonferroni", "max"])

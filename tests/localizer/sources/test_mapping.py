@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from conformodal.core import parallel
 from conformodal.features import local as local_features
 from conformodal.features.local import Matcher, match
 from conformodal.geometry import Trajectory
-from conformodal.geometry.camera_fit import Matches, fit_camera
-from conformodal.geometry.map_poses import TriangulatedRays, choose_tracks
-from conformodal.geometry.settings import MAP_POSES, TRIANGULATION
+from conformodal.geometry.settings import MAP_POSES
 from conformodal.geometry.shutter import NO_FLOW
-from conformodal.geometry.triangulation import Rays, triangulate
 from conformodal.localizer.settings import GUIDING, MAPPING, PNP
 from conformodal.localizer.sources import keyframes, mapping
 from conformodal.localizer.sources.landmarks import LandmarkSource
@@ -114,35 +112,6 @@ def test_guided_matching_finds_more_corners_and_makes_poses_more_precise(world_o
     assert np.median(inliers[GUIDING.least_inliers]) > np.median(inliers[10**6])
 
 
-def test_tracks_share_no_corner_and_see_each_point_from_several_frames():
-    points = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 6], (50, 3))
-    rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0], [-0.5, 0.2, 0], [0, 0.5, 0.1]]), off=0.05)
-    chosen = choose_tracks([TriangulatedRays(rays, triangulate(rays, 0.005))], 4, 0.005)
-    np.testing.assert_array_equal(chosen.frame.reshape(-1, 3), [[0, 1, 2]] * len(chosen.points))  # the last is off
-    twice = rays._replace(number=rays.number % 8)  # corners of 50 points are said to be those of two
-    assert len(choose_tracks([TriangulatedRays(twice, triangulate(rays, 0.005))], 4, 0.005).points) == 2
-
-
-def test_a_clock_that_is_far_off_leaves_the_rest_of_the_fit(world_of, stated_camera, depth_m):
-    world, rng = world_of(factor=1.1), np.random.default_rng(2)
-
-    def late(image):
-        still = image._replace(flow=np.column_stack((rng.normal(0, 0.5, (2, 2)), rng.normal(0, 40, 2))))
-        return still._replace(pixels=still.at_pose_time(np.array([-0.1, 0.0]), stated_camera).pixels)
-
-    landmarks = build_map([late(image) for image in world.local_features()], world.poses_se3, stated_camera, depth_m)
-    assert landmarks.shutter.tolist() == [0, 0]
-    assert landmarks.camera.fx == pytest.approx(550, rel=0.015)
-
-
-def test_few_matches_leave_the_camera_as_it_was(stated_camera):
-    nothing = Matches(np.empty((0, 2), np.int64), np.empty((0, 2, 2)), np.empty((0, 2, 2)))
-    bent = replace(stated_camera, distortion=(0.1, 0.0, 0.0, 0.0))
-    found = fit_camera(nothing, np.empty((0, 4, 4)), bent, 2.0)
-    assert found.camera == stated_camera  # corners come without distortion
-    np.testing.assert_array_equal(found.T_pose_cam, np.eye(4))
-
-
 def test_hidden_keyframes_do_not_help(mapped):
     _, landmarks, image = mapped
     assert landmarks.localize(image)
@@ -183,48 +152,6 @@ def test_an_image_of_something_else_gives_no_estimate(mapped):
     assert all(estimate.n_inliers < 2 * PNP.min_inliers for estimate in estimates)
 
 
-def rays_to(points, centres, off=0.0):
-    """Rays of all cameras to each point; the last camera's are off."""
-    n, k = len(points), len(centres)
-    apart = points[:, None] - centres
-    plane = apart[..., :2] / apart[..., 2:]
-    plane[:, -1] += off
-    corner, camera = np.repeat(np.arange(n), k), np.tile(np.arange(k), n)
-    return Rays(corner, np.arange(n * k), camera, plane.reshape(-1, 2), np.tile(np.eye(3), (k, 1, 1)), centres)
-
-
-def test_points_are_where_their_rays_meet():
-    points = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 6], (50, 3))
-    centres = np.array([[0.0, 0, 0], [0.5, 0, 0], [-0.5, 0.2, 0], [0, 0.5, 0.1]])
-    found, sound = triangulate(rays_to(points, centres), 0.005)
-    assert sound.all()
-    np.testing.assert_allclose(found, points, atol=1e-6)
-    found, sound = triangulate(rays_to(points, centres, off=0.05), 0.005)  # a match that is wrong in every point
-    np.testing.assert_allclose(found[sound], points[sound], atol=0.02)
-    assert sound.mean() > 0.9
-
-
-def test_a_corner_that_no_other_camera_sees_is_no_point():
-    points = np.array([[0.1, 0, 4.0], [0.2, 0.1, 5], [0, 0.3, 4]])
-    rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0]]))
-    seen = np.array([True, True, True, False, True, True])
-    found, sound = triangulate(
-        rays._replace(**{name: getattr(rays, name)[seen] for name in ("corner", "number", "camera", "plane")}), 0.005
-    )
-    assert sound.tolist() == [True, False, True]
-    np.testing.assert_allclose(found[[0, 2]], points[[0, 2]], atol=1e-6)
-
-
-def test_points_without_parallax_or_behind_are_not_sound():
-    centres = np.array([[0.0, 0, 0], [0.1, 0, 0]])
-    near = 0.1 / np.tan(1.5 * TRIANGULATION.min_parallax_rad)
-    far = 0.1 / np.tan(0.5 * TRIANGULATION.min_parallax_rad)
-    _, sound = triangulate(rays_to(np.array([[0.0, 0, near], [0, 0, far]]), centres), 0.005)
-    assert sound.tolist() == [True, False]
-    behind = rays_to(np.array([[0.3, 0.1, -2.0]]), centres)  # a ray has no sign on the plane: it meets behind
-    assert not triangulate(behind, 0.005)[1].any()
-
-
 def test_a_shared_matcher_changes_nothing_and_looks_for_no_pair_twice(world_of, stated_camera, depth_m, monkeypatch):
     world = world_of(n=40)
     images, part = world.local_features(), slice(None, None, 2)
@@ -241,31 +168,6 @@ def test_a_shared_matcher_changes_nothing_and_looks_for_no_pair_twice(world_of, 
     asked.clear()
     build_map(images[part], world.poses_se3[part], stated_camera, depth_m, matcher=Matcher())
     assert second < 0.9 * len(asked)
-
-
-def test_a_corner_counts_once_although_several_keyframes_match_it(mapped):
-    _, landmarks, image = mapped
-    (near,) = landmarks._retrieve(image.global_descriptor, np.ones(60, dtype=bool))
-    matches = {}
-    landmarks.localize(image, matches=matches)
-    assert sorted(matches) == sorted(near)
-    corners = np.concatenate([pairs[:, 0] for pairs in matches.values()])
-    assert len(corners) > 1.5 * len(np.unique(corners))  # most were matched more than once
-    (found,) = landmarks.localize(image)
-    assert found.n_inliers <= len(image.pixels)
-    assert 0.9 < found.inlier_share <= 1
-    assert 0.5 < found.image_share < 1.5  # points are all over the image
-    half = image.pixels[:, 0] < 320
-    (found,) = landmarks.localize(image._replace(pixels=image.pixels[half], descriptors=image.descriptors[half]))
-    assert found.image_share < 0.7
-
-
-def test_an_estimate_says_how_far_the_nearest_keyframe_is(mapped):
-    _, plain, image = mapped
-    landmarks = replace(plain, corrections=np.zeros((60, 6)))
-    (at,) = landmarks.localize(image)
-    (off,) = landmarks.localize(image, np.abs(np.arange(60) - 30) < 8)
-    assert at.distance_to_known < 0.02 < off.distance_to_known
 
 
 def test_a_frame_sees_what_it_sees_and_nothing_behind_it(stated_camera, depth_m):
@@ -308,13 +210,10 @@ def test_a_camera_far_from_the_given_one_is_not_believed(world_of, stated_camera
     assert build_map(world.local_features(), world.poses_se3, stated_camera, depth_m).camera == stated_camera
 
 
-def test_claims_grow_as_neighbours_are_off_in_other_ways(mapped):
-    plain, image = replace(mapped[1], corrections=np.zeros((60, 6))), mapped[2]
-    (before,) = plain.localize(image)
-    signs = np.where(np.arange(60) % 2, 1.0, -1.0)[:, None]
-    (after,) = replace(plain, corrections=signs * [0.05, 0, 0, 0, 0.01, 0]).localize(image)
-    mean = before.position_xyz[0] - after.position_xyz[0]  # of plus and minus 0.05, so their variance is known
-    assert abs(mean) < 0.04
-    assert after.sigma_m**2 - before.sigma_m**2 == pytest.approx((0.05**2 - mean**2) / 3, rel=1e-6)
-    turned = (0.05**2 - mean**2) * (0.01 / 0.05) ** 2 / 3
-    assert after.sigma_rad**2 - before.sigma_rad**2 == pytest.approx(turned, rel=1e-6)
+def test_a_map_does_not_depend_on_the_number_of_threads(monkeypatch, world_of, stated_camera, depth_m):
+    world, maps = world_of(n=20), []
+    for n in (1, 3):
+        monkeypatch.setattr(parallel, "_limit", n)
+        maps.append(build_map(world.local_features(wrong=0.2), world.poses_se3, stated_camera, depth_m))
+    for name in ("points_xyz", "descriptors", "starts", "T_pose_cam"):
+        np.testing.assert_array_equal(getattr(maps[0], name), getattr(maps[1], name))

@@ -1,13 +1,11 @@
 import time
 from contextlib import suppress
 
-import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
 from conformodal.core import parallel as process
 from conformodal.core.parallel import in_threads, side_by_side
-from conformodal.localizer.sources.mapping import build_map
 
 
 @pytest.fixture
@@ -80,13 +78,3 @@ def test_an_error_that_is_caught_ends_nothing_around_it(threads):
         return in_threads(str, [item])
 
     assert in_threads(caught, [1, 2, 3]) == [["1"], ["2"], ["3"]]
-
-
-def test_a_map_does_not_depend_on_the_number_of_threads(threads, world_of, stated_camera, depth_m):
-    world = world_of(n=20)
-    found = []
-    for n in (1, 3):
-        threads(n)
-        found.append(build_map(world.local_features(wrong=0.2), world.poses_se3, stated_camera, depth_m))
-    for name in ("points_xyz", "descriptors", "starts", "T_pose_cam"):
-        np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))

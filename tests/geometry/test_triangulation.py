@@ -1,0 +1,72 @@
+"""Points from rays, the tracks that adjust a map, and the camera that is fitted to matches."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from conformodal.geometry import PinholeCamera
+from conformodal.geometry.camera_fit import Matches, fit_camera
+from conformodal.geometry.map_poses import TriangulatedRays, choose_tracks
+from conformodal.geometry.settings import TRIANGULATION
+from conformodal.geometry.triangulation import Rays, triangulate
+
+CAMERA = PinholeCamera(500, 500, 320, 240, 640, 480)
+
+
+def test_tracks_share_no_corner_and_see_each_point_from_several_frames():
+    points = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 6], (50, 3))
+    rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0], [-0.5, 0.2, 0], [0, 0.5, 0.1]]), off=0.05)
+    chosen = choose_tracks([TriangulatedRays(rays, triangulate(rays, 0.005))], 4, 0.005)
+    np.testing.assert_array_equal(chosen.frame.reshape(-1, 3), [[0, 1, 2]] * len(chosen.points))  # the last is off
+    twice = rays._replace(number=rays.number % 8)  # corners of 50 points are said to be those of two
+    assert len(choose_tracks([TriangulatedRays(twice, triangulate(rays, 0.005))], 4, 0.005).points) == 2
+
+
+def test_few_matches_leave_the_camera_as_it_was():
+    nothing = Matches(np.empty((0, 2), np.int64), np.empty((0, 2, 2)), np.empty((0, 2, 2)))
+    bent = replace(CAMERA, distortion=(0.1, 0.0, 0.0, 0.0))
+    found = fit_camera(nothing, np.empty((0, 4, 4)), bent, 2.0)
+    assert found.camera == CAMERA  # corners come without distortion
+    np.testing.assert_array_equal(found.T_pose_cam, np.eye(4))
+
+
+def rays_to(points, centres, off=0.0):
+    """Rays of all cameras to each point; the last camera's are off."""
+    n, k = len(points), len(centres)
+    apart = points[:, None] - centres
+    plane = apart[..., :2] / apart[..., 2:]
+    plane[:, -1] += off
+    corner, camera = np.repeat(np.arange(n), k), np.tile(np.arange(k), n)
+    return Rays(corner, np.arange(n * k), camera, plane.reshape(-1, 2), np.tile(np.eye(3), (k, 1, 1)), centres)
+
+
+def test_points_are_where_their_rays_meet():
+    points = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 6], (50, 3))
+    centres = np.array([[0.0, 0, 0], [0.5, 0, 0], [-0.5, 0.2, 0], [0, 0.5, 0.1]])
+    found, sound = triangulate(rays_to(points, centres), 0.005)
+    assert sound.all()
+    np.testing.assert_allclose(found, points, atol=1e-6)
+    found, sound = triangulate(rays_to(points, centres, off=0.05), 0.005)  # a match that is wrong in every point
+    np.testing.assert_allclose(found[sound], points[sound], atol=0.02)
+    assert sound.mean() > 0.9
+
+
+def test_a_corner_that_no_other_camera_sees_is_no_point():
+    points = np.array([[0.1, 0, 4.0], [0.2, 0.1, 5], [0, 0.3, 4]])
+    rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0]]))
+    seen = np.array([True, True, True, False, True, True])
+    found, sound = triangulate(
+        rays._replace(**{name: getattr(rays, name)[seen] for name in ("corner", "number", "camera", "plane")}), 0.005
+    )
+    assert sound.tolist() == [True, False, True]
+    np.testing.assert_allclose(found[[0, 2]], points[[0, 2]], atol=1e-6)
+
+
+def test_points_without_parallax_or_behind_are_not_sound():
+    centres = np.array([[0.0, 0, 0], [0.1, 0, 0]])
+    near = 0.1 / np.tan(1.5 * TRIANGULATION.min_parallax_rad)
+    far = 0.1 / np.tan(0.5 * TRIANGULATION.min_parallax_rad)
+    _, sound = triangulate(rays_to(np.array([[0.0, 0, near], [0, 0, far]]), centres), 0.005)
+    assert sound.tolist() == [True, False]
+    behind = rays_to(np.array([[0.3, 0.1, -2.0]]), centres)  # a ray has no sign on the plane: it meets behind
+    assert not triangulate(behind, 0.005)[1].any()
