@@ -53,6 +53,13 @@ def _is_mirrored(path: Path) -> bool:
     return False
 
 
+def _is_cut_off(path: Path) -> bool:
+    """Whether an AVI file is shorter than it states; others do not state it in one place."""
+    with path.open("rb") as file:
+        head = file.read(8)
+    return head[:4] == b"RIFF" and int.from_bytes(head[4:], "little") + 8 > path.stat().st_size
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
     capture = cv2.VideoCapture(os.path.abspath(path))  # what stands before a colon is taken for a protocol
@@ -126,7 +133,8 @@ class VideoStream:
     def __iter__(self) -> Iterator[Frame]:
         """Decode frame after frame; one that cannot be decoded comes without an image.
 
-        Fewer frames than the file claims are a warning: the file was cut off, or an editor trimmed it.
+        Fewer frames than the file claims are a warning, as an editor may have trimmed it, and a :class:`SourceError`
+        where it was certainly cut off.
         """
         with _opened(self.path) as capture:
             rate_hz, last_s, done, damaged = capture.get(cv2.CAP_PROP_FPS), -np.inf, 0, 0
@@ -148,8 +156,10 @@ class VideoStream:
         if not done:
             raise SourceError(f"{self.path}: holds no frame that can be decoded as a video")
         if self.n_frames and done < _WHOLE * self.n_frames - 1:
-            text = f"{self.path}: ends after {done} of {self.n_frames} frames; was it cut off, or trimmed?"
-            warnings.warn(text, DatasetWarning, stacklevel=2)
+            ends = f"{self.path}: ends after {done} of {self.n_frames} frames"
+            if _is_cut_off(self.path):
+                raise SourceError(f"{ends}; the file was cut off")
+            warnings.warn(f"{ends}; was it cut off, or trimmed?", DatasetWarning, stacklevel=2)
 
 
 @dataclass(frozen=True)
