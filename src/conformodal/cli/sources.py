@@ -22,7 +22,6 @@ from conformodal.io.joining import join_recordings
 from conformodal.io.pose_files import read_tum
 from conformodal.io.reading import Note, by_what
 from conformodal.io.streams.bag import BagStream
-from conformodal.io.streams.bag_poses import read_bag_poses
 from conformodal.io.streams.frames import FrameStream
 from conformodal.io.streams.opening import open_stream
 from conformodal.io.streams.stored import RecordingStream
@@ -128,6 +127,8 @@ def read_poses(
     """The poses of a TUM file, or of a ROS recording's topic, moved in time; says what is wrong with some."""
     path = Path(source)
     if isinstance(stream, BagStream) and not path.exists():
+        from conformodal.io.streams.bag_poses import read_bag_poses  # noqa: PLC0415 - of ROS recordings alone
+
         notes = list[Note]()
         poses = read_bag_poses(stream, str(source), notes, max_gap_s)
         _report_notes(notes)
