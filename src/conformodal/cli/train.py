@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -42,7 +43,9 @@ from .sources import (
     was_given,
 )
 
-_MODEL, _CALIBRATION = "Model", "Calibration"
+_data, _model, _calibration = (
+    partial(typer.Option, rich_help_panel=panel) for panel in (DATA_PANEL, "Model", "Calibration")
+)
 # Settings whose options have other names.
 _OPTIONS = {"n_bins": "bins", "sigma_bins": "sigma", "calibrate_on": "calibration", "calibration": "calibration_share"}
 
@@ -54,104 +57,73 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder to save the model in.")],
     method: Annotated[
         Method,
-        typer.Option(
-            help="conformodal, or paper: the paper's system; options that are left alone then have the paper's values."
-        ),
+        typer.Option(help="conformodal, or paper: the paper's system, with its values of options that are left alone."),
     ] = ModelConfig.method,
     seed: Annotated[int, typer.Option(min=0, help="Of the split and of training.")] = 0,
     cache: Cache = None,
     layout: DataLayout = Layout.AUTO,
     split: Annotated[
         SplitKind,
-        typer.Option(
-            help="How frames are held out: at random, in stretches, in whole recordings, or by the data set's lists.",
-            rich_help_panel=DATA_PANEL,
-        ),
+        _data(help="How frames are held out: at random, in stretches, in recordings, or by the data set's lists."),
     ] = ModelConfig.split,
     test: Annotated[
         str,
-        typer.Option(
+        _data(
             metavar="SHARE|DATA",
             help="Share of all frames (or recordings) held out for testing; or another data set that is held out "
             "whole, which implies --split given.",
-            rich_help_panel=DATA_PANEL,
         ),
     ] = str(ModelConfig.test),
-    calibration_share: Annotated[
-        float,
-        typer.Option(help="Share of all frames (or recordings) held out to calibrate.", rich_help_panel=DATA_PANEL),
-    ] = ModelConfig.calibration,
-    used: Annotated[
-        float | None,
-        typer.Option(help="Share of all frames for training and calibration together.", rich_help_panel=DATA_PANEL),
-    ] = None,
+    calibration_share: Annotated[float, _data(help="Share of all frames (or recordings) held out to calibrate.")] = (
+        ModelConfig.calibration
+    ),
+    used: Annotated[float | None, _data(help="Share of all frames for training and calibration together.")] = None,
     focal: Focal = None,
     follow_outside: FollowOutside = False,
-    sources: Annotated[
-        str,
-        typer.Option(
-            help="Pose sources that the belief is made of, in order, separated by commas.", rich_help_panel=_MODEL
-        ),
-    ] = ",".join(ModelConfig.sources),
-    network: Annotated[
-        str, typer.Option(help=f"Network of the features: {', '.join(NETWORKS)}.", rich_help_panel=_MODEL)
-    ] = ModelConfig.network,
-    runtime: Annotated[
-        Runtime,
-        typer.Option(help="Of the network: onnx, int8 (smaller, less exact), or torch.", rich_help_panel=_MODEL),
-    ] = ModelConfig.runtime,
-    device: Annotated[
-        str, typer.Option(help="Of the network: cpu, cuda, or auto.", rich_help_panel=_MODEL)
-    ] = ModelConfig.device,
-    bins: Annotated[int, typer.Option(min=1, help="Bins per target (K).", rich_help_panel=_MODEL)] = (
-        ModelConfig.n_bins
+    sources: Annotated[str, _model(help="Pose sources of the belief, in order, separated by commas.")] = (
+        ",".join(ModelConfig.sources)
     ),
-    sigma: Annotated[
-        float,
-        typer.Option(min=0, help="Width of the labels in bins; 0: one-hot, as in the paper.", rich_help_panel=_MODEL),
-    ] = ModelConfig.sigma_bins,
-    epochs: Annotated[int, typer.Option(min=1, help="Passes over the training part.", rich_help_panel=_MODEL)] = (
-        TrainingConfig.epochs
+    network: Annotated[str, _model(help=f"Network of the features: {', '.join(NETWORKS)}.")] = ModelConfig.network,
+    runtime: Annotated[Runtime, _model(help="Of the network: onnx, int8 (smaller, less exact), or torch.")] = (
+        ModelConfig.runtime
     ),
-    dropout: Annotated[
-        float, typer.Option(min=0, max=0.95, help="Share of features dropped in training.", rich_help_panel=_MODEL)
-    ] = TrainingConfig.dropout,
-    alpha: Annotated[
-        float,
-        typer.Option(help="Miscoverage rate: the region may miss this share of poses.", rich_help_panel=_CALIBRATION),
-    ] = ModelConfig.alpha,
+    device: Annotated[str, _model(help="Of the network: cpu, cuda, or auto.")] = ModelConfig.device,
+    bins: Annotated[int, _model(min=1, help="Bins per target (K).")] = ModelConfig.n_bins,
+    sigma: Annotated[float, _model(min=0, help="Width of the labels in bins; 0: one-hot, as in the paper.")] = (
+        ModelConfig.sigma_bins
+    ),
+    epochs: Annotated[int, _model(min=1, help="Passes over the training part.")] = TrainingConfig.epochs,
+    dropout: Annotated[float, _model(min=0, max=0.95, help="Share of features dropped in training.")] = (
+        TrainingConfig.dropout
+    ),
+    alpha: Annotated[float, _calibration(help="Miscoverage rate: the region may miss this share of poses.")] = (
+        ModelConfig.alpha
+    ),
     joint: Annotated[
         str,
-        typer.Option(
+        _calibration(
             help="What alpha is for. max: the whole pose, with one threshold; bonferroni: the whole pose, alpha / 7 "
-            "for each target; none: each target alone, as in the paper.",
-            rich_help_panel=_CALIBRATION,
+            "for each target; none: each target alone, as in the paper."
         ),
     ] = ModelConfig.joint,
     score: Annotated[
-        str,
-        typer.Option(
-            help="Nonconformity score: hpd, hpd_random, aps, density, lac (the paper's).",
-            rich_help_panel=_CALIBRATION,
-        ),
+        str, _calibration(help="Nonconformity score: hpd, hpd_random, aps, density, lac (the paper's).")
     ] = ModelConfig.score,
     calibration: Annotated[
         Calibration,
-        typer.Option(
+        _calibration(
             help="What the regions are calibrated on. frames: the calibration part. stretches: stretches (or "
             "recordings) of training and calibration part, each answered by sources that did not see it. auto: frames "
-            "for --split interleaved, else stretches.",
-            rich_help_panel=_CALIBRATION,
+            "for --split interleaved, else stretches."
         ),
     ] = ModelConfig.calibrate_on,
     novelty_level: Annotated[
         float | None,
-        typer.Option(
+        _calibration(
             min=0,
             max=1,
             help="An image whose p-value of showing a known place is at most this gets an unbounded region; "
             "0.015 by default where frames calibrate, 0.1 where stretches do.",
-            rich_help_panel=_CALIBRATION,
         ),
     ] = ModelConfig.novelty_level,
 ) -> None:
