@@ -19,11 +19,12 @@ import typer
 from conformodal.cli.console import print_where, progress_bars, report_line
 from conformodal.cli.failures import OptionError, report_errors
 from conformodal.cli.sources import Cache, Data, DataLayout, cache_folder, open_sequence
-from conformodal.core.files import write_whole, writing_in
+from conformodal.core.files import write_whole
 from conformodal.features.extract import FeatureCache
 from conformodal.features.networks.registry import find_network
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
+from conformodal.io.folders import writing_in
 from conformodal.pipeline.config import Method
 from conformodal.pipeline.identity import data_digest
 from conformodal.pipeline.provenance import provenance

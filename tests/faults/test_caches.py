@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from safetensors.numpy import save as save_tensors
 
-from conformodal.core.files import locked
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.networks.torch_backbone import TorchBackbone, backbone_config
+from conformodal.io.folders import locked
 from tests.io.test_layouts import write_sevenscenes
 
 

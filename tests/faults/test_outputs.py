@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformodal.core import files as core_files
-from conformodal.core.files import PART, FolderError, FolderInUseError, check_writable, write_whole, writing_in
+from conformodal.core.files import PART, write_whole
 from conformodal.geometry import Trajectory
+from conformodal.io import folders
+from conformodal.io.folders import FolderError, FolderInUseError, check_writable, writing_in
 from conformodal.io.pose_files import write_tum
 from conformodal.pipeline.errors import ResultsError
 from conformodal.pipeline.results import (
@@ -87,12 +88,12 @@ def test_what_the_system_refuses_names_the_folder(tmp_path, monkeypatch, number,
     def refuse(*_, **__):
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(Path if call == "mkdir" else core_files.tempfile, call, refuse)
+    monkeypatch.setattr(Path if call == "mkdir" else folders.tempfile, call, refuse)
     with pytest.raises(FolderError, match=f"new: .*{os.strerror(number)}"):
         check_writable(tmp_path / "new")
 
 
-HOLD = "import sys; from pathlib import Path; from conformodal.core.files import writing_in\n"
+HOLD = "import sys; from pathlib import Path; from conformodal.io.folders import writing_in\n"
 HOLD += "with writing_in(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
 
 

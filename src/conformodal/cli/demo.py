@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from conformodal.core.files import FolderError, write_whole
+from conformodal.core.files import write_whole
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.words import counted, noun_for
 from conformodal.corridor.ambiguity import AmbiguityCheck, check_ambiguity
@@ -24,6 +24,7 @@ from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory
 from conformodal.io import Recording, read_recording
+from conformodal.io.folders import FolderError
 from conformodal.io.pose_files import write_tum
 from conformodal.io.streams.frames import Frame
 from conformodal.io.streams.stored import RecordingStream

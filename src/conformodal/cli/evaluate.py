@@ -9,12 +9,12 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from conformodal.core.files import writing_in
 from conformodal.core.words import counted, noun_for
 from conformodal.geometry import Alignment, Trajectory, align, associate, poses_at, recall, relative_errors
 from conformodal.geometry.alignment import straightness
 from conformodal.geometry.metrics import KITTI_LENGTHS_M, MAX_GAP_S, clock_hint, kitti_drift
 from conformodal.io import Layout
+from conformodal.io.folders import writing_in
 from conformodal.localizer.targets import TARGET_NAMES
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.evaluate import bounded_coverage, error_table

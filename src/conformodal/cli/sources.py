@@ -13,11 +13,12 @@ from typing import Annotated
 
 import typer
 
-from conformodal.core.files import check_writable, default_cache_dir
+from conformodal.core.files import default_cache_dir
 from conformodal.core.words import counted
 from conformodal.geometry import PinholeCamera, Trajectory
 from conformodal.geometry.metrics import MAX_GAP_S
 from conformodal.io import DatasetError, DatasetWarning, Layout, Recording, read_recording, recognise
+from conformodal.io.folders import check_writable
 from conformodal.io.joining import join_recordings
 from conformodal.io.pose_files import read_tum
 from conformodal.io.reading import Note, by_what

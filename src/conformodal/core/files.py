@@ -1,29 +1,14 @@
-"""Files that are written whole or not at all, folders that one process writes at a time, and the cache folder."""
+"""Files that are written whole or not at all, and the cache folder."""
 
 from __future__ import annotations
 
-import errno
 import os
-import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from .errors import ConformodalError
-from .extras import require_extra
-
-LOCK, PART = ".lock", ".conformodal-part"
-_PROBE_BYTES = 1 << 20
-_NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP)  # some network drives
-
-
-class FolderError(ConformodalError):
-    """A folder to write in that cannot be used: not a folder, not writable, in use, or with something else in it."""
-
-
-class FolderInUseError(FolderError):
-    """A folder that another process, or another thread, is writing in."""
+PART = ".conformodal-part"  # ends the names of files that are not finished
 
 
 def default_cache_dir() -> Path:
@@ -55,67 +40,3 @@ def replacing(path: Path) -> Iterator[Path]:
         with suppress(OSError):
             part.unlink()
         raise
-
-
-def check_writable(folder: Path) -> None:
-    """Create a folder if it is missing, and test that a megabyte can be written in it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder) as probe:
-            probe.write(bytes(_PROBE_BYTES))
-            probe.flush()
-    except (FileExistsError, NotADirectoryError) as exc:
-        raise FolderError(f"{folder}: is not a folder, or lies below a file") from exc
-    except (OSError, ValueError) as exc:  # a null byte in the name is a ValueError
-        raise FolderError(f"{folder}: cannot be written: {getattr(exc, 'strerror', None) or exc}") from exc
-
-
-@contextmanager
-def writing_in(folder: Path) -> Iterator[None]:
-    """Lock a folder until the block or the process ends, and remove files that were half written.
-
-    A folder that was created for this and stays empty is removed again.
-    """
-    made: list[Path] = []
-    with suppress(OSError, ValueError):
-        made = [place for place in (folder, *folder.parents) if not place.exists()]
-    try:
-        check_writable(folder)
-        with locked(folder / LOCK):
-            for part in folder.glob(f".*{PART}"):
-                part.unlink(missing_ok=True)
-            yield
-    finally:
-        for place in made:
-            with suppress(OSError, ValueError):
-                place.rmdir()
-
-
-@contextmanager
-def locked(file: Path) -> Iterator[None]:
-    """Hold a lock file with the process's number in it, re-entrant within a thread.
-
-    The system releases the lock when the process ends, however it does.
-    """
-    with require_extra("run", "locking a folder"):
-        from filelock import FileLock, Timeout  # noqa: PLC0415 - an extra
-
-    lock = FileLock(file.absolute(), timeout=0, is_singleton=True)
-    try:
-        lock.acquire()
-        file.write_text(f"{os.getpid()}\n", encoding="ascii")
-    except Timeout:
-        holder = file.read_text(encoding="ascii", errors="replace").strip() if file.is_file() else ""
-        who = f"process {holder}" if holder.isdecimal() else "another process"
-        raise FolderInUseError(f"{file.parent}: in use by {who}; wait, or name another folder") from None
-    except OSError as exc:
-        lock.release()
-        if exc.errno not in _NO_LOCKS:
-            raise FolderError(f"{file.parent}: cannot be locked: {exc.strerror}") from exc
-    try:
-        yield
-    finally:
-        if lock.lock_counter == 1:  # still held, so that no other process can lock a file that is gone
-            with suppress(OSError):
-                file.unlink()
-        lock.release()

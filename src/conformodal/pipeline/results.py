@@ -17,10 +17,11 @@ import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.extras import require_extra
-from conformodal.core.files import FolderError, replacing, write_whole, writing_in
+from conformodal.core.files import replacing, write_whole
 from conformodal.core.ranges import as_member
 from conformodal.core.words import as_utf8, finite_or_none
 from conformodal.geometry import RelativeMotion, Trajectory
+from conformodal.io.folders import FolderError, writing_in
 from conformodal.io.pose_files import TUM_HEADER, read_tum, tum_lines
 from conformodal.localizer.places import Place
 from conformodal.localizer.region_rules import EvidenceType
