@@ -51,19 +51,21 @@ def evaluate(
         result = read_run(out)
         true_poses = _read_truth(truth, layout, time_offset, follow_outside=follow_outside)
         rows, gaps = poses_at(true_poses, result.answer.timestamps_s, max_gap)
-        mine = np.flatnonzero(np.isfinite(rows).all(axis=1))
-        if not mine.size:
+        posed = np.flatnonzero(np.isfinite(rows).all(axis=1))
+        if not posed.size:
             associate(result.answer, true_poses, max_gap)  # says why
             raise OdometryError(f"{truth}: no pose of the results lies between true ones within {max_gap:g} s")
-        matched = Trajectory(result.answer.timestamps_s[mine], rows[mine, :3], rows[mine, 3:])
-        moved = {name: align(t[mine], matched, alignment) for name, t in result.trajectories.items()}
-        errors = {name: row | _motion_errors(moved[name], matched) for name, row in error_table(moved, matched).items()}
+        matched = Trajectory(result.answer.timestamps_s[posed], rows[posed, :3], rows[posed, 3:])
+        aligned = {name: align(t[posed], matched, alignment) for name, t in result.trajectories.items()}
+        errors = {
+            name: row | _motion_errors(aligned[name], matched) for name, row in error_table(aligned, matched).items()
+        }
         doubt = ""
         if alignment in (Alignment.SE3, Alignment.SIM3):
             doubt = straightness(matched, next(iter(errors.values()))["rmse_m"])
         # regions lie in the world of the answer: there the truth is brought by what brings it nearest to the answer
-        here = matched if alignment is Alignment.NONE else align(matched, result.answer[mine], alignment)
-        records, sign = [result.records[i] for i in mine], result.sign_reference
+        here = matched if alignment is Alignment.NONE else align(matched, result.answer[posed], alignment)
+        records, sign = [result.records[i] for i in posed], result.sign_reference
         inside, held = intervals_hold(records, here, sign), records_hold(records, here, sign)
         bounded = np.array([record_bounded(record) for record in records], dtype=np.bool_)
         evaluation: dict[str, Any] = {
@@ -72,15 +74,15 @@ def evaluate(
             "provenance": provenance(),
             "configuration": {"results": result.metrics.get("configuration"), "truth": truth.name, "align": alignment},
             "seed": result.metrics.get("seed"),
-            "n_matched": len(mine),
-            "largest_gap_s": float(gaps[mine].max()),
+            "n_matched": len(posed),
+            "largest_gap_s": float(gaps[posed].max()),
             "alignment_doubt": doubt or None,
             "n_answered": len(result.answer),
             "errors": errors,
             "coverage": {
                 "targets": dict(zip(TARGET_NAMES, inside.mean(axis=0).tolist(), strict=True)),
                 "joint_coverage": float(held.mean()),
-                "n_evaluated": len(mine),
+                "n_evaluated": len(posed),
                 "abstained": float((~bounded).mean()),
                 **bounded_coverage(held, bounded),
                 "path_coverage": float(records_hold(records, here, sign, "path_places").mean())
@@ -91,28 +93,33 @@ def evaluate(
             },
         }
         write_metrics(out / "evaluation", evaluation)
-    have = noun_for(len(mine), "has", "have")
-    answers, gap = counted(len(result.answer), "pose"), gaps[mine].max()
-    hint = clock_hint(result.answer.timestamps_s, true_poses.timestamps_s) if 2 * len(mine) < len(result.answer) else ""
-    console.print(f"{len(mine)} of {answers} {have} a true one; the largest gap bridged is {gap:.3g} s{hint}")
+    have = noun_for(len(posed), "has", "have")
+    answers, gap = counted(len(result.answer), "pose"), gaps[posed].max()
+    hint = (
+        clock_hint(result.answer.timestamps_s, true_poses.timestamps_s) if 2 * len(posed) < len(result.answer) else ""
+    )
+    console.print(f"{len(posed)} of {answers} {have} a true one; the largest gap bridged is {gap:.3g} s{hint}")
     if doubt:
         report_strongly(doubt)
-    moved_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
-    print_errors(errors, f"against {truth.name}{moved_by}")
+    aligned_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
+    print_errors(errors, f"against {truth.name}{aligned_by}")
     report_line(describe_coverage(evaluation["coverage"]))
     print_where(out / "evaluation")
 
 
 def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
     """Recall; relative errors from pose to pose; and KITTI's drift where the path is long enough."""
-    found: dict[str, Any] = {"recall": recall(estimate, truth)}
+    errors: dict[str, Any] = {"recall": recall(estimate, truth)}
     if len(truth) > 1:
         metres, degrees = relative_errors(estimate, truth)
-        found |= {"rpe_rmse_m": float(np.sqrt(np.mean(metres**2))), "rpe_rmse_deg": float(np.sqrt(np.mean(degrees**2)))}
+        errors |= {
+            "rpe_rmse_m": float(np.sqrt(np.mean(metres**2))),
+            "rpe_rmse_deg": float(np.sqrt(np.mean(degrees**2))),
+        }
     length = float(np.sum(np.linalg.norm(np.diff(truth.positions_xyz, axis=0), axis=1)))
     if length > KITTI_LENGTHS_M[0]:
-        found |= dict(zip(("drift_percent", "drift_deg_per_m"), kitti_drift(estimate, truth), strict=True))
-    return found
+        errors |= dict(zip(("drift_percent", "drift_deg_per_m"), kitti_drift(estimate, truth), strict=True))
+    return errors
 
 
 def _read_truth(path: Path, layout: Layout, offset_s: float, *, follow_outside: bool) -> Trajectory:

@@ -97,10 +97,10 @@ def same_views(renderer: Renderer, T_world_cam: FloatArray) -> FloatArray:
     Without what is unique in it the building repeats itself, so the only candidates are its repetitions; each is
     rendered without noise and compared pixel by pixel.
     """
-    own = renderer.render(T_world_cam).astype(np.int16)
-    found = []
+    view = renderer.render(T_world_cam).astype(np.int16)
+    alike = []
     for pose in renderer.world.repetitions(T_world_cam):
-        different = (np.abs(renderer.render(pose).astype(np.int16) - own) > MAX_LEVEL_DIFFERENCE).any(axis=2)
+        different = (np.abs(renderer.render(pose).astype(np.int16) - view) > MAX_LEVEL_DIFFERENCE).any(axis=2)
         if different.mean() <= MAX_SHARE_DIFFERENT:
-            found.append(pose)
-    return np.array(found).reshape(-1, 4, 4)
+            alike.append(pose)
+    return np.array(alike).reshape(-1, 4, 4)

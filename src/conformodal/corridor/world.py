@@ -125,9 +125,9 @@ class CorridorWorld(Building):
         """The pose moved by whole modules, (n_modules - 1, 4, 4)."""
         place = int(T_world_cam[0, 3] // MODULE_LENGTH)
         moves = [k for k in range(-place, self.n_modules - place) if k]
-        moved = np.tile(T_world_cam, (len(moves), 1, 1))
-        moved[:, 0, 3] += MODULE_LENGTH * np.array(moves)
-        return moved
+        poses = np.tile(T_world_cam, (len(moves), 1, 1))
+        poses[:, 0, 3] += MODULE_LENGTH * np.array(moves)
+        return poses
 
 
 def _module(x: float, rearranged: bool) -> list[Panel]:

@@ -66,11 +66,15 @@ def write_page(path: Path, content: ReportContent) -> None:
 
 def _path_rows(metrics: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     """Rows of the image's region and of those from posteriors; empty without the latter."""
-    found, image = metrics.get("path_coverage"), metrics.get("coverage")
-    if not found or not image:
+    paths, image = metrics.get("path_coverage"), metrics.get("coverage")
+    if not paths or not image:
         return []
-    own = {**image, "coverage": image["joint_coverage"]}
-    named = {"the image alone": own, "the frames so far": found.get("online"), "all frames": found.get("hindsight")}
+    image_row = {**image, "coverage": image["joint_coverage"]}
+    named = {
+        "the image alone": image_row,
+        "the frames so far": paths.get("online"),
+        "all frames": paths.get("hindsight"),
+    }
     return [(name, row) for name, row in named.items() if row]
 
 

@@ -70,10 +70,10 @@ def draw_regions(
     left, right = ends[place], ends[place + 1]
     shown = [low, high]
     if density is not None:
-        own = density.bins.edges_[target]
-        shade = (density.proba[target] / np.diff(own))[order].T
+        cells = density.bins.edges_[target]
+        shade = (density.proba[target] / np.diff(cells))[order].T
         darkest = float(np.quantile(shade, _DARKEST)) or None
-        ax.pcolormesh(ends, own, shade, cmap="Greys", vmin=0, vmax=darkest, zorder=0, rasterized=True)
+        ax.pcolormesh(ends, cells, shade, cmap="Greys", vmin=0, vmax=darkest, zorder=0, rasterized=True)
     corners = np.stack([np.column_stack(c) for c in ((left, low), (left, high), (right, high), (right, low))], axis=1)
     endless = np.isinf(intervals).any(axis=1)
     for rows, hatch in ((~endless, None), (endless, "///")):
@@ -110,7 +110,7 @@ def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None)
     """
     if not isinstance(diagnosis, Diagnosis):
         raise ConformodalError(f"diagnosis must be a Diagnosis, got {type(diagnosis).__name__}")
-    found = diagnosis.columns[as_count(column, "column", 0, len(diagnosis.columns) - 1)]
+    guarantee = diagnosis.columns[as_count(column, "column", 0, len(diagnosis.columns) - 1)]
     ax = Figure(layout="constrained").subplots() if ax is None else ax
-    draw_column(ax, found)
+    draw_column(ax, guarantee)
     return ax
