@@ -50,7 +50,7 @@ from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory, trajectory_errors
 from conformodal.io import Recording, SplitKind, read_recording
 from conformodal.localizer.observations import Observations, PosePath
-from conformodal.localizer.places import own_hypotheses
+from conformodal.localizer.places import image_hypotheses
 from conformodal.localizer.prior import MotionPrior
 from conformodal.localizer.smoother import smooth
 from conformodal.localizer.targets import pose_targets
@@ -143,14 +143,16 @@ def spaced(times: FloatArray, frames: IntArray, interval_s: float) -> IntArray:
 
 def smoothed(observed: Observations, prior: MotionPrior, *, hindsight: bool = True) -> PosePath:
     """The path of the complete system."""
-    return smooth(own_hypotheses(filtered_path(observed, prior, hindsight=hindsight), observed, prior), observed, prior)
+    return smooth(
+        image_hypotheses(filtered_path(observed, prior, hindsight=hindsight), observed, prior), observed, prior
+    )
 
 
 def frame_by_frame(observed: Observations, prior: MotionPrior) -> PosePath:
     """The most probable hypothesis of each image alone, smoothed."""
     best = [int(np.argmax(each.log_mass)) for each in observed.candidates]
     chosen = PosePath.choose(observed.candidates, observed.timestamps_s, best)
-    return smooth(own_hypotheses(chosen, observed, prior), observed, prior)
+    return smooth(image_hypotheses(chosen, observed, prior), observed, prior)
 
 
 PARTS: dict[str, Callable[[Observations, MotionPrior], PosePath]] = {  # by what is left out

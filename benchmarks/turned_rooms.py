@@ -33,7 +33,7 @@ from conformodal.features.extract import FeatureCache
 from conformodal.geometry import Trajectory, angle_between_quats
 from conformodal.io import Recording, read_recording
 from conformodal.localizer.observations import Observations, PosePath
-from conformodal.localizer.places import own_hypotheses
+from conformodal.localizer.places import image_hypotheses
 from conformodal.localizer.prior import MotionPrior
 from conformodal.localizer.smoother import smooth
 from conformodal.pipeline.config import ModelConfig
@@ -90,7 +90,7 @@ def measure(prior: MotionPrior, observed: dict[str, tuple[Observations, Trajecto
         hindsight = filtered_path(used, limited)
         paths = {
             "hindsight": hindsight,
-            "smoothed": smooth(own_hypotheses(hindsight, used, limited), used, limited),
+            "smoothed": smooth(image_hypotheses(hindsight, used, limited), used, limited),
             "online": filtered_path(used, limited, hindsight=False),
         }
         for reasoner, path in paths.items():

@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Submap, Trajectory, angle_between_quats
-from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.errors import ReasoningError
 from conformodal.localizer.observations import Observations
 from conformodal.localizer.prior import fit_motion_prior
@@ -22,8 +21,6 @@ def test_observations_that_do_not_belong_together_are_refused():
         Observations([], [], t[:0])
     with pytest.raises(ReasoningError, match=r"increase.*frames 1, 2"):
         Observations(candidates, [None] * 3, t[[0, 1, 1]])
-    with pytest.raises(ReasoningError, match="one value per frame, 3, got 2"):
-        Observations(candidates, [None] * 3, t, known=np.array([True, False]))
 
 
 def test_smoothing_improves_on_noise():
@@ -149,12 +146,3 @@ def test_submaps_turn_orientations_that_err_for_long():
     together = smooth_orientations(quats, spreads, [None] * 43, t, DEEP, submaps)
     error = [np.sqrt(np.mean(angle_between_quats(q, truth) ** 2)) for q in (alone, together)]
     assert error[1] < 0.5 * error[0]
-
-
-def test_submaps_of_other_frames_are_refused():
-    t, positions, rotations = path(15)
-    (submap,) = exact_submaps(positions, rotations)
-    one = Candidates(np.zeros((1, 3)), np.ones((1, 3)), np.array([[1.0, 0, 0, 0]]), np.ones(1), np.zeros(1))
-    Observations([one] * 15, [None] * 15, t, [submap])
-    with pytest.raises(ReasoningError, match="not one of 14 frames"):
-        Observations([one] * 14, [None] * 14, t[:14], [submap])

@@ -74,20 +74,10 @@ class Prediction:
 def predict(
     neighbour: Posterior, motion: RelativeMotion | None, step_s: float, prior: MotionPrior, *, back: bool = False
 ) -> Prediction:
-    """Predict a frame from its neighbour in time.
+    """Predict a frame from the posterior of its neighbour in time, a positive time step away.
 
-    Parameters
-    ----------
-    neighbour
-        Its posterior.
-    motion
-        From the earlier frame to the later one; None where nothing is known of it.
-    step_s
-        Seconds between the two, positive.
-    prior
-        Speeds and turning rates to expect.
-    back
-        Whether the neighbour is the later frame.
+    `motion` leads from the earlier frame to the later one, None where nothing is known of it; `back` says that the
+    neighbour is the later frame.
     """
     hypotheses = neighbour.hypotheses
     quats, spreads = hypotheses.orientations_quat_wxyz, hypotheses.orientation_spreads_rad
@@ -253,18 +243,8 @@ def _merged(
 ) -> Candidates:
     """Each of m anchors with k products around it, by their first two moments.
 
-    Parameters
-    ----------
-    anchors
-        The m hypotheses.
-    alone
-        (m,) mass of each by itself.
-    mass
-        (m, k) masses of its products.
-    offsets, variances
-        (m, k, 3) their positions relative to the anchor, and variances.
-    turns, angle_variances
-        (m, k, 3) and (m, k): rotation vectors relative to the anchor, and variances.
+    `alone` (m,) is the mass of each anchor by itself, `mass` (m, k) that of its products; positions and rotation
+    vectors of these, (m, k, 3), are relative to the anchor.
     """
     total = mass.sum(axis=1) + alone
     kept = total > 0
@@ -361,18 +341,9 @@ class PoseFilter:
     def push(
         self, evidence: Candidates, motion: RelativeMotion | None, timestamp_s: float, *, known: bool = True
     ) -> Posterior:
-        """Take the next frame and give its posterior.
+        """The posterior of the next frame, from the hypotheses of its image and the motion from the frame before.
 
-        Parameters
-        ----------
-        evidence
-            Hypotheses of its image.
-        motion
-            From the frame before, None where nothing is known of it.
-        timestamp_s
-            Seconds, later than before.
-        known
-            Whether the image shows a known place. Where it does not, its hypotheses count less.
+        Where the image does not show a `known` place, its hypotheses count less.
         """
         if not self._steps:
             posterior = start(evidence, known=known)
@@ -420,12 +391,7 @@ def hindsight_posteriors(
 ) -> list[Posterior]:
     """The posterior of each frame of a recording, from all of its frames: forward, times what later frames predict.
 
-    Parameters
-    ----------
-    seen, prior
-        As for :func:`filter_posteriors`.
-    forward
-        What that gave, if it is known already.
+    `forward` is what :func:`filter_posteriors` gave, if it ran already.
     """
     posteriors = list(filter_posteriors(seen, prior) if forward is None else forward)
     for t, ahead in _predicted_by_later(seen, prior):

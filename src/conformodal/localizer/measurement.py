@@ -141,11 +141,11 @@ def _inlier_odds(log_support: FloatArray, inlier: BoolArray, weights: FloatArray
     inlier, weights = np.concatenate((inlier, [True, False])), np.concatenate((weights, [1.0, 1.0]))
     used = list(range(x.shape[1]))
     while used:
-        found = LogisticRegression().fit(x[:, used], inlier, sample_weight=weights)
-        if (found.coef_[0] >= 0).all():
+        model = LogisticRegression().fit(x[:, used], inlier, sample_weight=weights)
+        if (model.coef_[0] >= 0).all():
             slopes = np.zeros(x.shape[1])
-            slopes[used] = found.coef_[0]
-            return float(found.intercept_[0]), tuple(slopes.tolist())
+            slopes[used] = model.coef_[0]
+            return float(model.intercept_[0]), tuple(slopes.tolist())
         # support never lowers the probability of an inlier: a negative slope comes from too few outliers
-        used.pop(int(np.argmin(found.coef_[0])))
+        used.pop(int(np.argmin(model.coef_[0])))
     return float(np.log(weights[inlier].sum() / weights[~inlier].sum())), (0.0,) * x.shape[1]

@@ -36,7 +36,7 @@ class Observations:
     Raises
     ------
     ReasoningError
-        If there are no frames, lengths differ, timestamps do not increase, or a submap has other frames.
+        If there are no frames, lengths differ, or timestamps do not increase.
     """
 
     candidates: Sequence[Candidates]
@@ -52,15 +52,10 @@ class Observations:
                 f"observations need as many candidates as motions and timestamps, at least one: got {n} candidates, "
                 f"{len(self.motions)} motions, {len(self.timestamps_s)} timestamps"
             )
-        if self.known is not None and len(self.known) != n:
-            raise ReasoningError(f"known must have one value per frame, {n}, got {len(self.known)}")
         not_later = np.flatnonzero(~(np.diff(self.timestamps_s) > 0))
         if not_later.size:
             t = int(not_later[0])
             raise ReasoningError(f"timestamps must increase: {self.timestamps_s[t : t + 2]} s at frames {t}, {t + 1}")
-        for submap in self.submaps:
-            if submap.frames[0] < 0 or submap.frames[-1] >= n:
-                raise ReasoningError(f"a submap of frames {submap.frames.tolist()} is not one of {n} frames")
 
     def part(self, rows: slice) -> Observations:
         """What is known of consecutive frames, without submaps."""
@@ -97,11 +92,11 @@ class PosePath(Rows):
         cls, candidates: Sequence[Candidates], timestamps_s: npt.ArrayLike, chosen: Sequence[int] | IntArray
     ) -> Self:
         """The candidates with these indices, one a frame."""
-        pairs = list(zip(candidates, chosen, strict=True))
+        chosen_candidates = list(zip(candidates, chosen, strict=True))
         return cls(
             np.asarray(timestamps_s, dtype=np.float64),
-            np.array([c.positions_xyz[k] for c, k in pairs]),
-            np.array([c.position_spreads[k] for c, k in pairs]),
-            np.array([c.orientations_quat_wxyz[k] for c, k in pairs]),
-            np.array([c.orientation_spreads_rad[k] for c, k in pairs]),
+            np.array([c.positions_xyz[k] for c, k in chosen_candidates]),
+            np.array([c.position_spreads[k] for c, k in chosen_candidates]),
+            np.array([c.orientations_quat_wxyz[k] for c, k in chosen_candidates]),
+            np.array([c.orientation_spreads_rad[k] for c, k in chosen_candidates]),
         )

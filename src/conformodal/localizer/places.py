@@ -101,7 +101,7 @@ def choose_places(
     return path, np.array([place.probability for place in best])
 
 
-def own_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:
+def image_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:
     """The hypotheses of single images that a path of :func:`choose_places` stands for, with spreads of the images.
 
     This is what a smoother starts from: it weighs in the neighbours in time itself. An image that shows no known place

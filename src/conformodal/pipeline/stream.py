@@ -16,7 +16,7 @@ from conformodal.geometry import Trajectory, concatenate
 from conformodal.io.streams.frames import Frame, SourceError
 from conformodal.localizer.filter import Posterior, hindsight_posteriors
 from conformodal.localizer.observations import Observations, PosePath
-from conformodal.localizer.places import choose_places, own_hypotheses
+from conformodal.localizer.places import choose_places, image_hypotheses
 from conformodal.localizer.prior import MotionPrior
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.localizer.regions import PoseRegions
@@ -40,7 +40,7 @@ def whole_paths(posteriors: list[Posterior], observations: Observations, prior: 
     From posteriors in hindsight, and what they were worked out from.
     """
     best, _ = choose_places(posteriors, observations.timestamps_s, prior)
-    smoothed = smooth(own_hypotheses(best, observations, prior), observations, prior)
+    smoothed = smooth(image_hypotheses(best, observations, prior), observations, prior)
     return {METHODS[0]: as_trajectory(smoothed), HINDSIGHT: as_trajectory(best)}
 
 
