@@ -16,7 +16,7 @@ from conformodal.io.convert import WRITABLE, write_layout
 from conformodal.io.streams.frames import Frame
 from conformodal.io.streams.stored import RecordingStream
 from conformodal.pipeline.identity import identify
-from tests.helpers import contents, fill, invoke, run_ok
+from tests.helpers import contents, fill, run_ok
 from tests.io.test_layouts import PLACES, WRITERS, N
 
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.io.DatasetWarning")
@@ -158,18 +158,6 @@ def test_what_can_be_known_is_said_before_the_first_file(tmp_path, what):
     assert [contents(tmp_path), sorted(tmp_path.rglob("*"))] == before
 
 
-@pytest.mark.parametrize("content", ["", "lost\n", "nan 0 0 0 0 0 0 1\n", None])
-def test_poses_that_are_none_are_refused_before_the_first_file(tmp_path, content):
-    folder = WRITERS[Layout.TUM](tmp_path / "a")
-    if content is not None:
-        (tmp_path / "p.tum").write_text(content)
-    result = invoke("data", "convert", folder, "--poses", tmp_path / "p.tum", "--out", tmp_path / "b")
-    assert result.exit_code == 2
-    assert "p.tum" in result.output
-    assert "error:" in result.output
-    assert not (tmp_path / "b").exists()
-
-
 SCRIPT = """
 import sys, time
 from pathlib import Path
@@ -199,10 +187,3 @@ def test_a_kill_leaves_no_half_data_set_and_the_same_call_goes_through(tmp_path)
     run_ok("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
     assert {"a", "b"} <= {p.name for p in tmp_path.iterdir()}
     assert len(read_recording(tmp_path / "b")) == N
-
-
-def test_images_of_another_size_are_left_out_and_named(tmp_path):
-    stream = Failing(None)
-    with pytest.raises(DatasetError, match="nothing to write: 3 unreadable"):
-        write_layout(tmp_path / "out", Layout.TUM, stream, PinholeCamera(40, 40, 32, 24, 48, 64), poses_for())
-    assert list(tmp_path.iterdir()) == []

@@ -24,27 +24,22 @@ from tests.io.test_layouts import WRITERS, N
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.io.DatasetWarning", "error::RuntimeWarning")
 
 FILES = {
-    Layout.SEVENSCENES: ("frame-000002.pose.txt", "camera-intrinsics.txt", "frame-rate.txt", "TrainSplit.txt"),
+    Layout.SEVENSCENES: ("frame-000002.pose.txt", "camera-intrinsics.txt"),
     Layout.RGBD_SCENES: ("02.pose",),
     Layout.KITTI: ("calib.txt", "times.txt", "07.txt"),
-    Layout.TUM: ("rgb.txt", "groundtruth.txt", "camera-distortion.txt"),
+    Layout.TUM: ("rgb.txt", "groundtruth.txt"),
     Layout.EUROC: ("sensor.yaml", "cam0/data.csv", "estimate0/data.csv"),
     Layout.COLMAP: ("cameras.txt", "images.txt"),
     Layout.NERF: ("transforms.json",),
-    Layout.IMAGES: ("poses.tum", "times.txt"),
+    Layout.IMAGES: ("poses.tum",),
 }
-ROWS = [(layout, name) for layout, names in FILES.items() for name in names]
-
 TOKENS = [
-    b"nan", b"-inf", b"Infinity", b"1e400", b"-1e308", b"1e-400", b"1_0", "\u0663".encode(), "\uff11".encode(), b"0x10",
-    b"9" * 30, b"9" * 5000, b"\0", b"\xff", b"\xef\xbb\xbf", b"\r", b"\n", b"\n\n", b"#", b",", b" ", b"\t", b"-", b"+",
-    b".", b"..", b"/", b"/etc/passwd", b"~", b"*", b"&a", b"*a", b"!!python/object/apply:os.system [ls]", b"%", b"{",
-    b"}", b"[", b"]", b'"', b"null", b"true", b"{}", b"[]", b"[" * 20_000, b'{"a":' * 20_000, b"1 " * 50_000,
-    b"x" * 99_999,
-    b"---", b"? ", b": ", b"| ", b"1e", b"\xe2\x80\xa8", b"\x85", b"\x0c", b"0", b"1", b"-1", b"2", b"1e18", b"1e-18",
+    b"nan", b"-inf", b"1e400", b"-1e308", b"1_0", "\u0663".encode(), b"0x10", b"9" * 30, b"9" * 5000, b"\0", b"\xff",
+    b"\xef\xbb\xbf", b"\r", b"\n", b"\n\n", b"#", b",", b" ", b"-", b".", b"..", b"/etc/passwd", b"~", b"&a", b"*a",
+    b"!!python/object/apply:os.system [ls]", b"{", b"}", b"[", b"]", b'"', b"null", b"true", b"[" * 20_000,
+    b'{"a":' * 20_000, b"1 " * 50_000, b"x" * 99_999, b"---", b": ", b"| ", b"\xe2\x80\xa8", b"\x0c", b"0", b"-1",
+    b"1e18",
 ]  # fmt: skip
-
-
 PLACE = st.floats(0, 1, exclude_max=True)
 # a few places, as shares of the length, and what happens there
 CHANGES = st.lists(
@@ -52,31 +47,31 @@ CHANGES = st.lists(
         st.tuples(st.just("flip"), PLACE, st.integers(0, 255)),
         st.tuples(st.sampled_from(["cut", "repeat"]), PLACE, st.integers(1, 200)),
         st.tuples(st.just("end"), PLACE, st.just(0)),
-        st.tuples(st.sampled_from(["insert", "replace"]), PLACE, st.sampled_from(TOKENS)),
+        st.tuples(st.just("insert"), PLACE, st.sampled_from(TOKENS)),
     ),
     min_size=1,
     max_size=4,
 )
+QUICK = settings(
+    max_examples=int(os.environ.get("FUZZ_EXAMPLES", "8")),
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
 
 
-def changed(content, what):
-    for kind, share, value in what:
+def changed(content, changes):
+    for kind, share, value in changes:
         at = int(share * len(content))
         if kind == "flip":
             content = content[:at] + bytes([value]) + content[at + 1 :]
         elif kind == "cut":
             content = content[:at] + content[at + value :]
-        elif kind == "end":
-            content = content[:at]
+        elif kind == "repeat":
+            content = content[: at + value] + content[at:]
         elif kind == "insert":
             content = content[:at] + value + content[at:]
-        elif kind == "replace":  # the word that is there
-            end = at
-            while end < len(content) and content[end : end + 1] not in b" ,\n]":
-                end += 1
-            content = content[:at] + value + content[end:]
         else:
-            content = content[: at + value] + content[at:]
+            content = content[:at]
     return content
 
 
@@ -92,77 +87,47 @@ def soundly(read):
         assert time.process_time() - begun < 10
 
 
-def valid(sequence):
-    assert 1 <= len(sequence) <= 2 * N
-    assert np.isfinite(sequence.timestamps_s).all()
-    assert (np.diff(sequence.timestamps_s) > 0).all()
-    camera = sequence.camera
-    assert np.isfinite(camera.matrix).all()
-    assert min(camera.fx, camera.fy) > 0
-    for poses in (sequence.truth, sequence.known_poses):
-        if poses is not None:
-            assert np.isfinite(poses.poses_se3).all()
-            assert np.abs(poses.positions_xyz).max() < 1e10
-    assert sequence.truth is None or len(sequence.truth) == len(sequence)
+def valid(recording):
+    assert 1 <= len(recording) <= 2 * N
+    assert np.isfinite(recording.timestamps_s).all()
+    assert (np.diff(recording.timestamps_s) > 0).all()
+    assert np.isfinite(recording.camera.matrix).all()
+    assert min(recording.camera.fx, recording.camera.fy) > 0
+    if recording.poses is not None:
+        assert np.isfinite(recording.poses.poses_se3).all()
+        assert np.abs(recording.poses.positions_xyz).max() < 1e10
+    assert recording.truth is None or len(recording.truth) == len(recording)
 
 
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory):
-    found = {}
+    folders = {}
     for layout, write in WRITERS.items():
         root = tmp_path_factory.mktemp(layout.replace("-", "")) / "root"
         root.mkdir()
-        folder = write(root)
-        if layout is Layout.SEVENSCENES:
-            second = root / "seq-02"
-            second.mkdir()
-            Image.new("RGB", (64, 48)).save(second / "frame-000000.color.png")
-            np.savetxt(second / "frame-000000.pose.txt", np.eye(4))
-            (root / "TrainSplit.txt").write_text("sequence1\n")
-            (root / "TestSplit.txt").write_text("sequence2\n")
-        if layout is Layout.TUM:
-            (folder / "camera-distortion.txt").write_text("-0.1 0.02 0.001 0.002\n")
-        if layout is Layout.IMAGES:
-            for i, path in enumerate(sorted(folder.glob("*.png"))):
-                path.rename(folder / f"{i}.png")
-            (folder / "times.txt").write_text("\n".join(f"{100 + 0.1 * i}" for i in range(N)))
-        found[layout] = root, folder
-    return found
-
-
-QUICK = settings(
-    max_examples=int(os.environ.get("FUZZ_EXAMPLES", "8")),
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
-)
-
-
-@contextmanager
-def kept(path):
-    """What a file holds, which it holds again afterwards."""
-    content = path.read_bytes()
-    try:
-        yield content
-    finally:
-        path.write_bytes(content)
+        folders[layout] = root, write(root)
+    return folders
 
 
 def read_changed(sets, layout, name, change, **options):
     """A data set with one file changed is valid or refused."""
     root, folder = sets[layout]
     path = max(p for p in root.rglob("*") if str(p).endswith(name))
-    with kept(path) as content:
+    content = path.read_bytes()
+    try:
         path.write_bytes(change(content))
-        sequence = soundly(lambda: read_recording(folder, layout, **options))
-    if sequence is not None:
-        valid(sequence)
+        recording = soundly(lambda: read_recording(folder, layout, **options))
+    finally:
+        path.write_bytes(content)
+    if recording is not None:
+        valid(recording)
 
 
-@pytest.mark.parametrize(("layout", "name"), ROWS)
+@pytest.mark.parametrize(("layout", "name"), [(layout, name) for layout, names in FILES.items() for name in names])
 @QUICK
-@given(what=CHANGES, require_poses=st.booleans())
-def test_data_sets(sets, layout, name, what, require_poses):
-    read_changed(sets, layout, name, lambda content: changed(content, what), require_poses=require_poses)
+@given(changes=CHANGES, require_poses=st.booleans())
+def test_data_sets(sets, layout, name, changes, require_poses):
+    read_changed(sets, layout, name, lambda content: changed(content, changes), require_poses=require_poses)
 
 
 SCALARS = st.one_of(
@@ -183,7 +148,7 @@ EUROC = [("intrinsics",), ("distortion_coefficients",), ("T_BS",), ("resolution"
     ],
     ids=["nerf", "euroc"],
 )
-@QUICK
+@settings(QUICK, max_examples=30)
 @given(draw=st.data(), value=TREES)
 def test_trees_of_another_shape(sets, layout, name, load, dump, keys, draw, value):
     *way, last = draw.draw(st.sampled_from(keys))
@@ -198,34 +163,22 @@ def test_trees_of_another_shape(sets, layout, name, load, dump, keys, draw, valu
     read_changed(sets, layout, name, change)
 
 
-def pictures():
+def saved(kind):
     rng = np.random.default_rng(0)
     image = Image.fromarray(rng.integers(0, 255, (24, 32, 3), dtype=np.uint8))
-    exif = Image.Exif()
-    exif[0x0112] = 1
-    made = {
-        "png": (image, {"exif": exif.tobytes()}),
-        "palette": (image.quantize(16), {"transparency": 3, "format": "PNG"}),
-        "grey16": (Image.fromarray(rng.integers(0, 65535, (24, 32), dtype=np.uint16)), {"format": "PNG"}),
-        "jpeg": (image, {"exif": exif.tobytes()}),
-        "tiff": (image, {"compression": "tiff_lzw"}),
-        **{kind: (image, {}) for kind in ("bmp", "webp", "gif", "ppm")},
-    }
-    for name, (picture, options) in made.items():
-        stream = io.BytesIO()
-        picture.save(stream, **({"format": name.upper()} | options))
-        yield name, stream.getvalue()
+    if kind == "grey16":
+        image = Image.fromarray(rng.integers(0, 65535, (24, 32), dtype=np.uint16))
+    stream = io.BytesIO()
+    image.save(stream, format={"grey16": "PNG"}.get(kind, kind.upper()))
+    return stream.getvalue()
 
 
-PICTURES = dict(pictures())
-
-
-@pytest.mark.parametrize("kind", PICTURES)
+@pytest.mark.parametrize("kind", ["png", "grey16", "jpeg", "tiff", "bmp", "webp", "gif", "ppm"])
 @QUICK
-@given(what=CHANGES)
-def test_images(tmp_path_factory, kind, what):
+@given(changes=CHANGES)
+def test_images(tmp_path_factory, kind, changes):
     path = tmp_path_factory.getbasetemp() / "a.png"
-    path.write_bytes(changed(PICTURES[kind], what))
+    path.write_bytes(changed(saved(kind), changes))
     image = soundly(lambda: read_image(path))
     if image is not None:
         assert (image.dtype, image.shape[2:]) == (np.uint8, (3,))
@@ -238,57 +191,23 @@ def bags(tmp_path_factory):
 
     root = tmp_path_factory.mktemp("bags")
     mcap = write_bag(root / "m", "mcap")
-    sqlite = write_bag(root / "s", "sqlite")
-    return {
-        "ros1": write_bag(root / "a.bag", "ros1").read_bytes(),
-        "mcap": next(mcap.glob("*.mcap")).read_bytes(),
-        "db3": next(sqlite.glob("*.db3")).read_bytes(),
-        "metadata.yaml": ((sqlite / "metadata.yaml").read_bytes(), next(sqlite.glob("*.db3"))),
-    }
+    return {".bag": write_bag(root / "a.bag", "ros1").read_bytes(), ".mcap": next(mcap.glob("*.mcap")).read_bytes()}
 
 
-@pytest.mark.parametrize("kind", ["ros1", "mcap", "metadata.yaml"])
-@settings(QUICK, max_examples=8)
-@given(what=CHANGES)
-def test_bags(tmp_path_factory, bags, kind, what):
-    root = tmp_path_factory.mktemp("bag")
-    content = bags[kind]
-    if kind == "metadata.yaml":
-        content, data = content
-        (root / data.name).write_bytes(data.read_bytes())
-        path = root
-        (root / "metadata.yaml").write_bytes(changed(content, what))
-    else:
-        path = root / ("a.bag" if kind == "ros1" else "a.mcap")
-        path.write_bytes(changed(content, what))
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+@QUICK
+@given(changes=CHANGES)
+def test_bags(tmp_path_factory, bags, suffix, changes):
+    path = tmp_path_factory.mktemp("bag") / f"a{suffix}"
+    path.write_bytes(changed(bags[suffix], changes))
     frames = soundly(lambda: list(open_stream(path)))
     if frames is not None:
         assert all(frame.image is None or frame.image.dtype == np.uint8 for frame in frames)
 
 
-# What was found, and what is large
-
-
-def png_of(width, height, colour=2, bits=8):
-    def chunk(kind, data):
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    size = max(1, width * height * bits * {0: 1, 2: 3, 3: 1, 6: 4}[colour] // 8 + height)
-    pack = zlib.compressobj(9)
-    data = b"".join(pack.compress(bytes(min(1 << 20, size - at))) for at in range(0, min(size, 1 << 24), 1 << 20))
-    data += pack.flush()
-    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0))
-    return b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", data) + chunk(b"IEND", b"")
-
-
 LARGE = {
     "deep JSON": (Layout.NERF, "transforms.json", b"[" * 900_000),
     "a JSON number of many digits": (Layout.NERF, "transforms.json", b'{"frames": ' + b"9" * 900_000 + b"}"),
-    "long text in a matrix": (
-        Layout.NERF,
-        "transforms.json",
-        b'{"frames": [{"file_path": "a", "transform_matrix": [["' + b"x" * 500_000 + b'"' + b",1" * 100_000 + b"]]}]}",
-    ),
     "deep YAML": (Layout.EUROC, "sensor.yaml", b"[" * 900_000),
     "YAML that multiplies": (
         Layout.EUROC,
@@ -301,8 +220,6 @@ LARGE = {
     "a YAML object": (Layout.EUROC, "sensor.yaml", b"!!python/object/apply:os.getcwd []\n"),
     "one long line of images": (Layout.TUM, "rgb.txt", b"1 " + b"a" * 990_000),
     "many damaged poses": (Layout.TUM, "groundtruth.txt", b"x\n" * 20_000 + b"100 0 0 0 0 0 0 1\n"),
-    "NULs": (Layout.KITTI, "calib.txt", bytes(990_000)),
-    "a recording of many digits": (Layout.SEVENSCENES, "TrainSplit.txt", b"sequence" + b"9" * 9000 + b"\n"),
 }
 
 
@@ -316,25 +233,33 @@ def little_memory():
 @pytest.mark.parametrize("what", LARGE)
 def test_large_and_hostile_texts(sets, what):
     layout, name, hostile = LARGE[what]
-    assert len(hostile) < 1_000_000
     with little_memory():
         read_changed(sets, layout, name, lambda _: hostile)
 
 
-HOSTILE_IMAGES = {
-    "four million pixels": (lambda: png_of(2000, 2000, 2), False),
-    "100 million pixels of 1 bit": (lambda: png_of(10_000, 10_000, 0, 1), True),
-    "60000 x 60000 of 1 bit": (lambda: png_of(60_000, 60_000, 0, 1), True),
-    "one row": (lambda: png_of(2_000_000_000, 1, 0, 1), True),
-    "no pixel": (lambda: png_of(0, 0), True),
-}
+def png_of(width, height, colour, bits):
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0))
+    size = max(1, width * height * bits * (3 if colour == 2 else 1) // 8 + height)
+    return (
+        b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", zlib.compress(bytes(min(size, 1 << 24)), 9)) + chunk(b"IEND", b"")
+    )
 
 
-@pytest.mark.parametrize("what", HOSTILE_IMAGES)
-def test_hostile_images(tmp_path, what):
-    make, refused = HOSTILE_IMAGES[what]
-    (tmp_path / "a.png").write_bytes(make())
-    assert (tmp_path / "a.png").stat().st_size < 1_000_000
+@pytest.mark.parametrize(
+    ("size", "refused"),
+    [
+        ((2000, 2000, 2, 8), False),
+        ((10_000, 10_000, 0, 1), True),
+        ((60_000, 60_000, 0, 1), True),
+        ((2_000_000_000, 1, 0, 1), True),
+        ((0, 0, 2, 8), True),
+    ],
+)
+def test_small_files_that_claim_many_pixels(tmp_path, size, refused):
+    (tmp_path / "a.png").write_bytes(png_of(*size))
     with little_memory():
         image = soundly(lambda: read_image(tmp_path / "a.png"))
     assert (image is None) == refused
