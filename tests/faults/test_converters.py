@@ -81,7 +81,7 @@ def test_what_misses_the_first_poses_is_the_data_set_of_its_model(tmp_path):
     again = open_source(str(folder), Layout.AUTO, as_trained=True).sequence
     assert again.image_paths == trained.image_paths
     found = identify(trained).find(identify(again))
-    assert found.at.tolist() == [0, 1, 2]
+    assert found.tolist() == [0, 1, 2]
 
 
 class Failing:

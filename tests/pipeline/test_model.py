@@ -19,7 +19,7 @@ from conformodal.pipeline.config import ModelConfig, config_of
 from conformodal.pipeline.errors import ModelFileError, OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.evaluate import RegionStatistics, coverage_table
-from conformodal.pipeline.store import load_model, save_model
+from conformodal.pipeline.store import _KEYS, _arrays, _check_schema, load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 
 
@@ -119,30 +119,57 @@ def edit_json(change):
     return spoil
 
 
-def flip_a_bit(folder):
-    path = folder / "weights.safetensors"
+def file_of(folder, kind):
+    (path,) = folder.glob(f"{kind}-*")
+    return path
+
+
+def flip_a_bit(path):
     content = bytearray(path.read_bytes())
     content[-5] ^= 1
     path.write_bytes(bytes(content))
 
 
-@pytest.mark.parametrize(
-    ("spoil", "match"),
-    [
-        (flip_a_bit, r"weights\.safetensors.*digest differs"),
-        (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
-        (edit_json(lambda r: r.update(format="other")), "expected 'conformodal-model-19'"),
-        (lambda f: (f / "model.json").write_text("{"), r"model\.json.*no JSON"),
-        (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
-        (lambda f: (f / "model.json").unlink(), r"model\.json.*no saved model"),
-        (lambda f: (f / "weights.safetensors").unlink(), r"weights\.safetensors.*cannot be read"),
-    ],
-)
-def test_altered_models_are_refused(model, tmp_path, spoil, match):
+SPOILT = {
+    "a bit of the weights": (lambda f: flip_a_bit(file_of(f, "weights")), r"weights-.*digest differs"),
+    "a bit of the network": (lambda f: flip_a_bit(file_of(f, "network")), r"network-.*digest differs"),
+    "alpha": (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
+    "an older format": (edit_json(lambda r: r.update(format="conformodal-model-19")), "Train the model again"),
+    "half of the JSON": (lambda f: (f / "model.json").write_text("{"), r"model\.json"),
+    "a list": (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
+    "no JSON": (lambda f: (f / "model.json").unlink(), r"model\.json"),
+    "no weights": (lambda f: file_of(f, "weights").unlink(), r"weights-.*cannot be read"),
+    "no network": (lambda f: file_of(f, "network").unlink(), r"network-.*cannot be read"),
+}
+
+
+@pytest.mark.parametrize("what", SPOILT)
+def test_altered_models_are_refused(model, tmp_path, what):
+    spoil, match = SPOILT[what]
     save_model(model, tmp_path)
     spoil(tmp_path)
     with pytest.raises(ModelFileError, match=match):
         load_model(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("record", "arrays", "match"),
+    [
+        ({"prior": None}, {}, "prior"),
+        ({}, {"sign_reference": None}, "sign_reference"),
+        ({}, {"bins.3": np.zeros((2, 2))}, r"bins\.3"),
+        ({}, {"calibration.recognised": np.zeros(3)}, r"calibration\.recognised"),
+        ({}, {"path.online.scores": np.zeros(3, dtype=int)}, r"path\.online\.scores"),
+        ({}, {"another": np.zeros(3)}, "another"),
+    ],
+)
+def test_what_does_not_fit_the_schema_is_named(model, record, arrays, match):
+    whole = {k: v for k, v in _arrays(model).items() if v is not None}
+    _check_schema(dict.fromkeys(_KEYS), whole)
+    keys = _KEYS - record.keys()
+    changed = {k: v for k, v in {**whole, **arrays}.items() if v is not None}
+    with pytest.raises((KeyError, TypeError), match=match):
+        _check_schema(dict.fromkeys(keys), changed)
 
 
 def test_a_model_of_other_backbone_weights_is_refused(model, tmp_path, monkeypatch):

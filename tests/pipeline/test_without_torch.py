@@ -1,15 +1,11 @@
 """A trained model answers where torch is not installed."""
 
 import json
-import shutil
 import subprocess
 import sys
 import textwrap
 
 import pytest
-
-from conformodal.pipeline.errors import ModelFileError
-from conformodal.pipeline.store import load_model
 
 
 def run_script(script):
@@ -48,17 +44,6 @@ def test_what_is_missing_is_named_with_the_line_that_installs_it(small_world, tm
     assert found.returncode == 2
     assert "pip install 'conformodal[train]'" in found.stderr + found.stdout
     assert "Traceback" not in found.stderr
-
-
-def test_a_damaged_network_is_named(small_world, tmp_path):
-    folder = shutil.copytree(small_world.model, tmp_path / "model")
-    (network,) = folder.glob("network-*.onnx")
-    network.write_bytes(network.read_bytes()[:-1] + b"?")
-    with pytest.raises(ModelFileError, match=rf"{network.name}: is not the file that was saved"):
-        load_model(folder)
-    network.unlink()
-    with pytest.raises(ModelFileError, match=rf"{network.name}: cannot be read"):
-        load_model(folder)
 
 
 @pytest.mark.parametrize("module", ["localizer.region_rules", "localizer.radius", "pipeline.errors"])

@@ -24,7 +24,7 @@ from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimates import Estimate
 from conformodal.pipeline.evaluate import coverage_table, error_table, is_exchangeable, radius_table
-from conformodal.pipeline.identity import identify
+from conformodal.pipeline.identity import identify, same_poses
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.provenance import provenance
@@ -76,30 +76,28 @@ class Answers:
 def part_frames(model: PoseModel, sequence: Recording, part: Part) -> IntArray | None:
     """Where the frames of a part of the model's own data set are in a sequence, increasing; None for all.
 
-    They are recognised by their pixels. Those that the sequence lacks are left out, and their number is printed.
+    They are recognised by their files. Those that the sequence lacks are left out, and their number is printed.
     """
     if part is Part.ALL:
         return None
-    rows = model.split.part(str(part))
-    matches = model.known_frames.find(identify(sequence, model.known_frames))
-    at, elsewhere = matches.at[rows], matches.moved[rows]
+    rows, here = model.split.part(str(part)), identify(sequence)
+    at = model.known_frames.find(here)[rows]
     n, where = counted(len(rows), "frame"), f"the {part} part of {model.configuration['data']}"
-    shown = np.sort(np.maximum(at, elsewhere))
-    if (shown < 0).all():
+    n_missing, rows, at = int((at < 0).sum()), rows[at >= 0], at[at >= 0]
+    if not len(at):
         raise OdometryError(f"{sequence.name}: has none of the {n} of {where}; give that data set or run on all")
     try:
         model.check_camera(sequence.camera, _SAME_CAMERA)
     except OdometryError as exc:
-        first = sequence.image_paths[shown[shown >= 0][0]]
+        first = sequence.image_paths[at.min()]
         raise OdometryError(f"{first}: is a frame of {where}, but from another camera: {exc}") from None
-    other_pose = np.sort(elsewhere[elsewhere >= 0])
+    other_pose = np.sort(at[~same_poses(model.known_frames.poses[rows], here.poses[at])])
     if len(other_pose):
         first = sequence.image_paths[other_pose[0]]
         raise OdometryError(f"{first}: is a frame of {where}, but has another pose, as {len(other_pose)} of {n} have")
-    n_missing = int((at < 0).sum())
     if n_missing:
-        report_line(f"{n_missing} of {n} of {where} are not in {sequence.name}, or have no pose there")
-    return np.sort(at[at >= 0])
+        report_line(f"{n_missing} of {n} of {where} are not in {sequence.name}")
+    return np.sort(at)
 
 
 def answer_stream(

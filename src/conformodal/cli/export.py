@@ -7,7 +7,6 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from conformodal.core.words import counted, noun_for
@@ -16,7 +15,7 @@ from conformodal.features.extract import FeatureCache
 from conformodal.io import Layout, Recording
 from conformodal.pipeline.config import Runtime, config_of
 from conformodal.pipeline.errors import OdometryError
-from conformodal.pipeline.identity import identify
+from conformodal.pipeline.identity import identify, same_poses
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.results import lock_output
 from conformodal.pipeline.store import load_model, save_model
@@ -79,8 +78,10 @@ def _in_onnx(model: PoseModel, features: FeatureCache) -> PoseModel:
 
 def _check_same_data(model: PoseModel, sequence: Recording, folder: Path) -> None:
     """Refuse other data than the model was trained on."""
-    known, here = model.known_frames, identify(sequence, model.known_frames)
-    same = int((known.find(here).at[: len(here)] == np.arange(len(known))[: len(here)]).sum())
+    known, here = model.known_frames, identify(sequence)
+    n = min(len(known), len(here))
+    same_file = (known.files[:n] == here.files[:n]).all(axis=1)
+    same = int((same_file & same_poses(known.poses[:n], here.poses[:n])).sum())
     if same < len(known) or len(here) != len(known):
         raise OdometryError(
             f"{sequence.name}: is not the data set that {folder} was trained on: {same} of its "

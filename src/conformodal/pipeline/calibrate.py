@@ -38,14 +38,13 @@ from conformodal.localizer.settings import FILTER
 from conformodal.localizer.sources.registry import SourceData
 from conformodal.tracking.flow import frame_features
 
-from .comparison import SourceComparison
 from .config import ModelConfig
 from .errors import OdometryError
 from .folds import Folds
-from .model import HINDSIGHT, LAGGED, ONLINE, PATHS, path_rule
-from .settings import DISTURBED
+from .model import HINDSIGHT, LAGGED, ONLINE, PATHS, SourceComparison, path_rule
 
 _MOST_COMPARED = 120  # each is answered twice
+_MOST_DISTURBED, _DISTURBED_SEED = 200, 0  # calibration frames, and the seed of kinds and strengths
 
 
 def score_beliefs(rule: SplitConformal, localizer: Localizer, beliefs: Beliefs, targets: FloatArray) -> RealArray:
@@ -139,10 +138,10 @@ def calibrate_disturbed(
         return calibrated, None
     known = data.local_features(folds.region_frames)
     quality = QualityRange.of(np.array([its.quality for its in known]))
-    sequence = replace(data.sequence, noise=Disturbance(DISTURBED.seed, data.sequence.noise))
+    sequence = replace(data.sequence, noise=Disturbance(_DISTURBED_SEED, data.sequence.noise))
     found: list[tuple[RealArray, FloatArray, BoolArray, IntArray]] = []  # scores, novelty, out of range, units
     for fold, localizer in zip(folds.folds, localizers, strict=True):
-        most = -(-DISTURBED.most // len(folds.folds))
+        most = -(-_MOST_DISTURBED // len(folds.folds))
         frames = fold.held_out[:: -(-len(fold.held_out) // most)]
         copies = in_threads(partial(frame_features, sequence), frames.tolist())
         left = quality.left_by(np.array([its.quality for its in copies]))

@@ -12,7 +12,10 @@ from conformodal.io.decoding import grey_image
 from conformodal.tracking.submaps import build_submaps
 from conformodal.tracking.tracker import Corners, CornerTracker
 
-from .settings import DEPTHS
+_STRETCHES, _FRAMES = 10, 12  # stretches, spread over all training frames, and frames of each
+_GAP = 4.0  # a stretch ends at a gap longer than the median one by this factor
+_LEAST_SUBMAPS = 5  # with fewer, the depth is not known
+_LEAST_SPREAD = 0.1  # standard deviation of the logarithm of the depth
 
 
 def measure_depths(sequence: Recording, frames: IntArray) -> tuple[float, float]:
@@ -22,12 +25,12 @@ def measure_depths(sequence: Recording, frames: IntArray) -> tuple[float, float]
     for stretch in _stretches(frames, sequence.recording):
         submaps = build_submaps(_followed(sequence, stretch), sequence.camera)
         depths += [depth for s in submaps if (depth := _depth(s, truth[stretch])) > 0]
-    if len(depths) < DEPTHS.least_submaps:
+    if len(depths) < _LEAST_SUBMAPS:
         return float("nan"), float("nan")
     logs = np.log(depths)
     middle = float(np.median(logs))
     spread = float(np.median(np.abs(logs - middle))) / MAD_OF_NORMAL
-    return float(np.exp(middle)), max(spread, DEPTHS.least_spread)
+    return float(np.exp(middle)), max(spread, _LEAST_SPREAD)
 
 
 def _stretches(frames: IntArray, recording: IntArray) -> list[IntArray]:
@@ -35,13 +38,13 @@ def _stretches(frames: IntArray, recording: IntArray) -> list[IntArray]:
     gaps = np.diff(frames)
     if gaps.size == 0:
         return []
-    apart = (gaps > DEPTHS.gap * np.median(gaps)) | (np.diff(recording[frames]) != 0)
+    apart = (gaps > _GAP * np.median(gaps)) | (np.diff(recording[frames]) != 0)
     pieces = [p for part in np.split(frames, np.flatnonzero(apart) + 1) for p in _cut(part)]
-    return [pieces[i] for i in evenly_spread(len(pieces), DEPTHS.stretches)]
+    return [pieces[i] for i in evenly_spread(len(pieces), _STRETCHES)]
 
 
 def _cut(part: IntArray) -> list[IntArray]:
-    n = DEPTHS.frames
+    n = _FRAMES
     return [part[i * n : (i + 1) * n] for i in range(len(part) // n)] or ([part] if len(part) > 2 else [])
 
 

@@ -17,8 +17,7 @@ from conformodal.localizer.region_rules import EvidenceType
 from conformodal.localizer.regions import PoseRegions
 from conformodal.localizer.targets import TARGET_NAMES, pose_targets
 
-from .comparison import SourceComparison
-from .model import ONLINE, PoseModel
+from .model import ONLINE, PoseModel, SourceComparison
 
 _ASSUMPTION_HELD = (
     "Frames were split at random, so calibration and test frames are exchangeable: the covered count of each "

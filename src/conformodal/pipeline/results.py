@@ -41,7 +41,7 @@ _ANY_SIGN = np.array([1.0, 0.1, 0.01, 0.001])  # tells q from -q
 # The files of each command. The first tells whose a folder is that has no metrics; commands that run others come first.
 _FILES: dict[str, tuple[str, ...]] = {
     "demo": ("corridor", "model", "report.html"),
-    "train": ("model.json", "weights.safetensors"),
+    "train": ("model.json",),
     "run": (REGIONS, TRAJECTORY, TRUTH, "report.html"),
     "evaluate": (),
     "data": (METRICS,),

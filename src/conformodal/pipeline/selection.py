@@ -70,11 +70,11 @@ def calibrate_selection(
     if method not in METHODS:
         raise OdometryError(f"method must be one of {list(METHODS)}, got {method!r}")
     guarantee = as_member(guarantee, Guarantee, "guarantee", OdometryError)  # before hours of work
-    known = model.known_frames.known(identify(sequence, model.known_frames))
+    known = model.known_frames.known(identify(sequence))
     if known.any():
         raise OdometryError(
-            f"{sequence.image_paths[int(known.argmax())]}: has the pixels of a frame of the data set the model was "
-            f"trained on, and so have {known.sum()} of {counted(len(known), 'frame')}; calibrate on other recordings"
+            f"{sequence.image_paths[int(known.argmax())]}: is a frame of the data set the model was trained on, as "
+            f"{known.sum()} of {counted(len(known), 'frame')} are; calibrate on other recordings"
         )
     # the depth was learnt in training, so it knows nothing of these recordings
     given = depth_or_default(model.prior.depth_m) if metres_per_rad is None else metres_per_rad

@@ -1,7 +1,7 @@
 """Saved models: arrays in safetensors, the network in ONNX, everything else in JSON; no pickle and no code.
 
-``model.json`` contains digests of the other files and of itself. They detect damaged or altered files; they are not a
-signature, so they do not prove who saved a model.
+``model.json`` names the other files with their digests, and has one of itself. They detect damaged or altered files;
+they are not a signature, so they do not prove who saved a model.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -36,15 +35,13 @@ from conformodal.localizer.radius import PoseRadius
 from conformodal.localizer.region_rules import RegionRules
 from conformodal.localizer.sources.registry import PoseSource, SourceState, find_source
 
-from .comparison import SourceComparison
 from .errors import ModelFileError
 from .identity import FrameIdentities
-from .model import PATHS, PoseModel, path_rule
+from .model import PATHS, PoseModel, SourceComparison, path_rule
 
-_FORMAT = "conformodal-model-19"
-_JSON, _WEIGHTS, _NEXT = "model.json", "weights.safetensors", "weights.safetensors.next"
-_NETWORKS = "network-*.onnx"
-_ATTEMPTS = 2
+FORMAT = "conformodal-model-20"
+_JSON = "model.json"
+_FILES = {"weights": "weights-{}.safetensors", "network": "network-{}.onnx"}  # with the first digits of their digests
 _DAMAGE = (
     SafetensorError,
     AttributeError,
@@ -56,36 +53,52 @@ _DAMAGE = (
     RuntimeError,  # torch, and JSON nested without end
 )
 _PARTS = ("train", "calibration", "test")
-_IDENTITIES = ("files", "pixels", "poses")
-_PRIOR_TABLES = ("intervals_s", "top_speed_mps", "acceleration_density")
-_PRIOR_DEPTHS = ("depth_m", "depth_spread")
+# Keys of model.json, and arrays by name: kind of their numbers, and dimensions. A star stands for the end of a name;
+# pose sources check their own.
+_KEYS = {
+    "format", "backbone", "backbone_fingerprint", "sources", "calibration", "prior", "camera", "split", "configuration",
+    "radius", "comparison", "weights", "network",
+}  # fmt: skip
+_ARRAYS = {
+    "bins.*": ("f", 1), "cells.*": ("f", 1), "split.*": ("i", 1), "sign_reference": ("f", 1),
+    "frames.files": ("u", 2), "frames.poses": ("f", 2),
+    "calibration.scores": ("f", 2), "calibration.known_p": ("f", 1), "calibration.recognised": ("b", 1),
+    "calibration.units": ("i", 1), "calibration.loc": ("f", 1), "calibration.scale": ("f", 1),
+    "path.*.scores": ("f", 1), "path.*.units": ("i", 1), "path.*.sizes": ("i", 1),
+    "novelty.references": ("f", 2), "novelty.units": ("i", 1),
+    "matched.scores": ("f", 1), "matched.units": ("i", 1), "disturbed.novelty": ("f", 1), "disturbed.units": ("i", 1),
+    "disturbed.scores": ("f", 2), "disturbed.known_p": ("f", 1), "quality": ("f", 2),
+}  # fmt: skip
+_NEEDED = (
+    "bins.0",
+    "cells.0",
+    *(f"split.{part}" for part in _PARTS),
+    "sign_reference",
+    "frames.files",
+    "frames.poses",
+    "calibration.scores",
+    "calibration.known_p",
+)
 
 
 def save_model(model: PoseModel, folder: Path) -> None:
     """Write a model into a folder, created if missing; an earlier model stays complete until the new one is."""
-    rules, localizer = model.rules, model.localizer
-    states = {source.name: source.state() for source in localizer.sources}
-    arrays: dict[str, AnyArray] = {
-        f"source.{name}.{k}": v for name, state in states.items() for k, v in state.arrays.items()
-    }
-    network = model.backbone.content if isinstance(model.backbone, OnnxBackbone) else None
-    arrays |= {f"bins.{j}": e for j, e in enumerate(localizer.bins.edges_)}
-    arrays |= {f"cells.{j}": e for j, e in enumerate(rules.overall.bins.edges_)}
-    arrays |= {f"split.{part}": model.split.part(part) for part in _PARTS}
-    arrays |= {f"known.{k}": getattr(model.known_frames, k) for k in _IDENTITIES}
-    arrays |= _calibration_arrays(model) | _novelty_arrays(model)
-    arrays["sign_reference"] = localizer.sign_reference
-    weights = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
+    states = {source.name: source.state() for source in model.localizer.sources}
+    arrays = {f"source.{name}.{k}": v for name, state in states.items() for k, v in state.arrays.items()}
+    arrays |= {k: v for k, v in _arrays(model).items() if v is not None}
+    contents = {"weights": save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})}
+    if isinstance(model.backbone, OnnxBackbone):
+        contents["network"] = model.backbone.content
     record: dict[str, Any] = {
-        "format": _FORMAT,
+        "format": FORMAT,
         "backbone": asdict(model.backbone.config),
         "backbone_fingerprint": model.backbone.fingerprint,
         "sources": [{"name": name, "settings": state.settings} for name, state in states.items()],
         "calibration": {
             "alpha": model.alpha,
-            "score": rules.overall.score_.name,
-            "joint": rules.overall.joint,
-            "novelty_level": rules.level,
+            "score": model.calibration.score_.name,
+            "joint": model.calibration.joint,
+            "novelty_level": model.rules.level,
             "reliable_p": model.reliable_p,
         },
         "prior": _finite(asdict(model.prior)),
@@ -94,55 +107,51 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "configuration": model.configuration,
         "radius": None if model.radius is None else _finite(asdict(model.radius)),
         "comparison": None if model.comparison is None else asdict(model.comparison),
-        "weights_sha256": hashlib.sha256(weights).hexdigest(),
-        "network": None,
+        **{name: hashlib.sha256(contents[name]).hexdigest() if name in contents else None for name in _FILES},
     }
-    if network is not None:
-        record["network"] = {"sha256": hashlib.sha256(network).hexdigest()}
     record["sha256"] = _digest(record)
-    # complete at any time: the old files stay until the new record is written
-    if network is not None:
-        write_whole(folder / _network_file(record), network)
-    write_whole(folder / _NEXT, weights)
+    for name, content in contents.items():
+        write_whole(_path(folder, name, record[name]), content)
     write_whole(folder / _JSON, json.dumps(record, indent=1) + "\n")
-    (folder / _NEXT).replace(folder / _WEIGHTS)
-    for other in folder.glob(_NETWORKS):
-        if network is None or other.name != _network_file(record):
-            other.unlink(missing_ok=True)
+    for name, pattern in _FILES.items():  # of an earlier model
+        for path in folder.glob(pattern.format("*")):
+            if record[name] is None or path != _path(folder, name, record[name]):
+                path.unlink(missing_ok=True)
 
 
-def _calibration_arrays(model: PoseModel) -> dict[str, AnyArray]:
-    rules = model.rules
-    arrays: dict[str, AnyArray] = {
-        "calibration.overall": rules.overall.scores_,
+def _path(folder: Path, name: str, digest: str) -> Path:
+    return folder / _FILES[name].format(digest[:8])
+
+
+def _arrays(model: PoseModel) -> dict[str, AnyArray | None]:
+    """All arrays of a model but those of its sources; None for what it does not have."""
+    rules, overall, novelty = model.rules, model.calibration, model.novelty
+    shared = overall.joint == "max"
+    arrays: dict[str, AnyArray | None] = {
+        **{f"bins.{j}": edges for j, edges in enumerate(model.bins.edges_)},
+        **{f"cells.{j}": edges for j, edges in enumerate(overall.bins.edges_)},
+        **{f"split.{part}": model.split.part(part) for part in _PARTS},
+        "sign_reference": model.sign_reference,
+        "frames.files": model.known_frames.files,
+        "frames.poses": model.known_frames.poses,
+        "calibration.scores": overall.scores_,
         "calibration.known_p": rules.known_p,
+        "calibration.recognised": rules.recognised,
+        "calibration.units": overall.units_,
+        "calibration.loc": overall.scales()[0] if shared else None,
+        "calibration.scale": overall.scales()[1] if shared else None,
     }
-    if rules.recognised is not None:
-        arrays["calibration.recognised"] = rules.recognised
-    if rules.overall.units_ is not None:
-        arrays["calibration.groups"] = rules.overall.units_
     for path, rule in model.path_rules.items():
-        arrays[f"calibration.{path}"] = rule.scores_.max(axis=1)
-        if rule.units_ is not None and rule.unit_sizes_ is not None:
-            arrays |= {f"calibration.{path}_groups": rule.units_, f"calibration.{path}_sizes": rule.unit_sizes_}
-    if rules.overall.joint == "max":
-        arrays["calibration.shift"], arrays["calibration.scale"] = rules.overall.scales()
-    return arrays
-
-
-def _novelty_arrays(model: PoseModel) -> dict[str, AnyArray]:
-    novelty, rules = model.novelty, model.rules
-    if novelty is None:
-        return {}
-    arrays = {"novelty.references": novelty.test.references, "novelty.groups": novelty.test.units_}
-    if novelty.matched is not None:
-        arrays |= {"novelty.matched": novelty.matched.scores_, "novelty.matched_groups": novelty.matched.units_}
-    disturbed = novelty.disturbed
-    if disturbed and rules.disturbed is not None and rules.disturbed_p is not None and model.quality is not None:
-        arrays |= {"novelty.disturbed": disturbed.scores_, "novelty.disturbed_groups": disturbed.units_}
-        arrays["calibration.disturbed"] = rules.disturbed.scores_
-        arrays["calibration.disturbed_p"] = rules.disturbed_p
-        arrays["quality"] = np.stack((model.quality.low, model.quality.high))
+        arrays[f"path.{path}.scores"] = rule.scores_.max(axis=1)
+        arrays |= {f"path.{path}.units": rule.units_, f"path.{path}.sizes": rule.unit_sizes_}
+    if novelty is not None:
+        arrays |= {"novelty.references": novelty.test.references, "novelty.units": novelty.test.units_}
+        if novelty.matched is not None:
+            arrays |= {"matched.scores": novelty.matched.scores_, "matched.units": novelty.matched.units_}
+        if novelty.disturbed is not None and rules.disturbed is not None and model.quality is not None:
+            arrays |= {"disturbed.novelty": novelty.disturbed.scores_, "disturbed.units": novelty.disturbed.units_}
+            arrays |= {"disturbed.scores": rules.disturbed.scores_, "disturbed.known_p": rules.disturbed_p}
+            arrays["quality"] = np.stack((model.quality.low, model.quality.high))
     return arrays
 
 
@@ -156,80 +165,73 @@ def load_model(folder: Path | str) -> PoseModel:
     """
     folder = Path(folder)
     try:
-        record, content, network = _read(folder)
-        return _assemble(record, load_tensors(content), network, folder)
+        record = _read_record(folder / _JSON)
+        arrays = load_tensors(_read(_path(folder, "weights", record["weights"]), record["weights"]))
+        _check_schema(record, arrays)
+        return _assemble(record, arrays, folder)
     except (ModelFileError, MissingPackageError):
         raise
     except _DAMAGE as exc:
-        raise ModelFileError(f"{folder}: is no complete {_FORMAT}: {type(exc).__name__}: {exc}") from exc
+        raise ModelFileError(f"{folder}: is not a complete {FORMAT}: {type(exc).__name__}: {exc}") from exc
 
 
 def model_digest(folder: Path) -> str | None:
     """Digest of the trained model in a folder, without its radius; None without a model."""
     try:
-        digest = _read_record(folder / _JSON)["weights_sha256"]
+        return str(_read_record(folder / _JSON)["weights"])
     except (ModelFileError, KeyError):
         return None
-    return str(digest)
 
 
-def _network_file(record: dict[str, Any]) -> str:
-    return _NETWORKS.replace("*", record["network"]["sha256"][:8])
+def _read_record(path: Path) -> dict[str, Any]:
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as exc:
+        raise ModelFileError(f"{path}: no saved model there: {exc.strerror}") from exc
+    except (ValueError, RecursionError) as exc:
+        raise ModelFileError(f"{path}: is not JSON: {exc}") from exc
+    stated = record.get("format") if isinstance(record, dict) else type(record).__name__
+    if stated != FORMAT:
+        raise ModelFileError(f"{path}: holds format {stated!r}, expected {FORMAT!r}. Train the model again")
+    if record.pop("sha256", None) != _digest(record):
+        raise ModelFileError(f"{path}: was altered since it was saved: its digest differs")
+    return dict(record)
 
 
-def _read(folder: Path) -> tuple[dict[str, Any], bytes, bytes | None]:
-    """The record and the files that it names; read again if another process is just replacing them."""
-    for attempt in range(_ATTEMPTS):
-        record = _read_record(folder / _JSON)
-        try:
-            weights = _named((folder / _NEXT, folder / _WEIGHTS), record["weights_sha256"])
-            if record.get("network") is None:
-                return record, weights, None
-            return record, weights, _named((folder / _network_file(record),), record["network"]["sha256"])
-        except ModelFileError:
-            if attempt + 1 == _ATTEMPTS:
-                raise
-    raise AssertionError
+def _digest(record: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
-def _named(paths: Sequence[Path], sha256: str) -> bytes:
-    """The content of the one of these files whose digest is `sha256`."""
-    problem = ""
-    for path in paths:
-        try:
-            content = path.read_bytes()
-        except OSError as exc:
-            problem = f"cannot be read: {exc.strerror}"
+def _read(path: Path, sha256: str) -> bytes:
+    try:
+        content = path.read_bytes()
+    except OSError as exc:
+        raise ModelFileError(f"{path}: cannot be read: {exc.strerror}") from exc
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise ModelFileError(f"{path}: is not the file that was saved with {_JSON}: its digest differs")
+    return content
+
+
+def _check_schema(record: dict[str, Any], arrays: dict[str, AnyArray]) -> None:
+    """Refuse keys and arrays that a model does not have, and others than it has."""
+    missing = [*(_KEYS - record.keys()), *(name for name in _NEEDED if name not in arrays)]
+    if missing:
+        raise KeyError(missing[0])
+    for name, array in arrays.items():
+        if name.startswith("source."):
             continue
-        if hashlib.sha256(content).hexdigest() == sha256:
-            return content
-        problem = f"is not the file that was saved with {_JSON}: its digest differs"
-    raise ModelFileError(f"{paths[-1]}: {problem}")
+        group, *_, last = parts = name.split(".")
+        expected = _ARRAYS.get(name) or _ARRAYS.get(f"{group}.*" if len(parts) == 2 else f"{group}.*.{last}")
+        if expected != (array.dtype.kind, array.ndim):
+            raise TypeError(f"array {name} is {array.dtype} {array.shape}, expected {expected}")
 
 
-def _backbone(record: dict[str, Any], network: bytes | None, folder: Path) -> Backbone:
-    config = BackboneConfig(**{**record["backbone"], "grid": tuple(record["backbone"]["grid"])})
-    if network is not None:
-        return OnnxBackbone(config, network)
-    with require_extra("train", f"{folder}: a model that runs its network in torch"):
-        from conformodal.features.networks.torch_backbone import TorchBackbone  # noqa: PLC0415
-
-    backbone = TorchBackbone(config)
-    if backbone.fingerprint != record["backbone_fingerprint"]:
-        raise ModelFileError(
-            f"{folder / _WEIGHTS}: was trained on features of {config.name} in another version; install the one that "
-            "made it, or train again"
-        )
-    return backbone
-
-
-def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], network: bytes | None, folder: Path) -> PoseModel:
-    backbone = _backbone(record, network, folder)
-    bins = QuantileBins.from_edges(_numbered(arrays, "bins"))
-    sources = tuple(_source(its["name"], its["settings"], arrays) for its in record["sources"])
-    how, split = record["calibration"], record["split"]
-    novelty = _novelty(arrays, backbone.config.grid)
-    rules = _rules(QuantileBins.from_edges(_numbered(arrays, "cells")), how, arrays, novelty)
+def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path) -> PoseModel:
+    backbone = _backbone(record, folder)
+    bins, cells = (QuantileBins.from_edges(_numbered(arrays, name)) for name in ("bins", "cells"))
+    sources = tuple(_source(source["name"], source["settings"], arrays) for source in record["sources"])
+    stated, split, novelty = record["calibration"], record["split"], _novelty(arrays, backbone.config.grid)
+    rules = _rules(cells, stated, arrays, novelty)
     return PoseModel(
         backbone=backbone,
         localizer=Localizer(sources, bins, arrays["sign_reference"]),
@@ -238,16 +240,30 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], network: byte
         prior=_prior(record["prior"]),
         camera=PinholeCamera(**record["camera"]),
         split=Split(split["kind"], split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
-        known_frames=FrameIdentities(**{k: arrays[f"known.{k}"] for k in _IDENTITIES}),
+        known_frames=FrameIdentities(arrays["frames.files"], arrays["frames.poses"]),
         configuration=record["configuration"],
         radius=_radius(record["radius"]),
-        comparison=None if record.get("comparison") is None else SourceComparison(**record["comparison"]),
-        path_rules={
-            path: _path_rule(rules, arrays, name) for path in PATHS if (name := f"calibration.{path}") in arrays
-        },
-        reliable_p=float(how["reliable_p"]),
+        comparison=None if record["comparison"] is None else SourceComparison(**record["comparison"]),
+        path_rules={path: _path_rule(rules, arrays, path) for path in PATHS if f"path.{path}.scores" in arrays},
+        reliable_p=float(stated["reliable_p"]),
         quality=QualityRange(*arrays["quality"]) if "quality" in arrays else None,
     )
+
+
+def _backbone(record: dict[str, Any], folder: Path) -> Backbone:
+    config = BackboneConfig(**{**record["backbone"], "grid": tuple(record["backbone"]["grid"])})
+    if record["network"] is not None:
+        return OnnxBackbone(config, _read(_path(folder, "network", record["network"]), record["network"]))
+    with require_extra("train", f"{folder}: a model that runs its network in torch"):
+        from conformodal.features.networks.torch_backbone import TorchBackbone  # noqa: PLC0415
+
+    backbone = TorchBackbone(config)
+    if backbone.fingerprint != record["backbone_fingerprint"]:
+        raise ModelFileError(
+            f"{folder}: was trained on features of {config.name} in another version; install the one that made it, or "
+            "train again"
+        )
+    return backbone
 
 
 def _numbered(arrays: dict[str, AnyArray], name: str) -> list[AnyArray]:
@@ -258,46 +274,42 @@ def _numbered(arrays: dict[str, AnyArray], name: str) -> list[AnyArray]:
 
 def _source(name: str, settings: dict[str, Any], arrays: dict[str, AnyArray]) -> PoseSource:
     start = f"source.{name}."
-    its = {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
-    return find_source(name).from_state(SourceState(its, settings))
+    mine = {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
+    return find_source(name).from_state(SourceState(mine, settings))
 
 
 def _rules(
-    cells: QuantileBins, how: dict[str, Any], arrays: dict[str, AnyArray], novelty: PlaceNovelty | None
+    cells: QuantileBins, stated: dict[str, Any], arrays: dict[str, AnyArray], novelty: PlaceNovelty | None
 ) -> RegionRules:
-    overall = _calibration(cells, how, arrays)
-    recognised, known_p = arrays.get("calibration.recognised"), arrays["calibration.known_p"]
-    rules = RegionRules(overall, recognised, known_p, float(how["novelty_level"]))
+    overall = SplitConformal(cells, float(stated["alpha"]), stated["score"], stated["joint"])
+    if overall.joint == "max":
+        overall.set_scale(arrays["calibration.scale"], arrays["calibration.loc"])
+    overall.calibrate_scores(arrays["calibration.scores"], arrays.get("calibration.units"))
+    known_p, recognised = arrays["calibration.known_p"], arrays.get("calibration.recognised")
+    rules = RegionRules(overall, recognised, known_p, float(stated["novelty_level"]))
     if novelty is None or novelty.disturbed is None:
         return rules
-    groups = None if overall.units_ is None else novelty.disturbed.units_
-    disturbed = copy(overall).calibrate_scores(arrays["calibration.disturbed"], groups)
-    return replace(rules, disturbed=disturbed, disturbed_p=arrays["calibration.disturbed_p"])
+    units = None if overall.units_ is None else novelty.disturbed.units_
+    disturbed = copy(overall).calibrate_scores(arrays["disturbed.scores"], units)
+    return replace(rules, disturbed=disturbed, disturbed_p=arrays["disturbed.known_p"])
 
 
-def _calibration(bins: QuantileBins, how: dict[str, Any], arrays: dict[str, AnyArray]) -> SplitConformal:
-    calibration = SplitConformal(bins, float(how["alpha"]), how["score"], how["joint"])
-    if calibration.joint == "max":
-        calibration.set_scale(arrays["calibration.scale"], arrays["calibration.shift"])
-    return calibration.calibrate_scores(arrays["calibration.overall"], arrays.get("calibration.groups"))
-
-
-def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], name: str) -> SplitConformal:
+def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], path: str) -> SplitConformal:
     rule = path_rule(rules.overall.bins, rules.overall.alpha)
-    scores = np.repeat(arrays[name][:, None], rule.bins.n_targets, axis=1)
-    return rule.calibrate_scores(scores, *(arrays.get(f"{name}_{its}") for its in ("groups", "sizes")))
+    scores = np.repeat(arrays[f"path.{path}.scores"][:, None], rule.bins.n_targets, axis=1)
+    return rule.calibrate_scores(scores, *(arrays.get(f"path.{path}.{name}") for name in ("units", "sizes")))
 
 
 def _novelty(arrays: dict[str, AnyArray], grid: tuple[int, int]) -> PlaceNovelty | None:
     if "novelty.references" not in arrays:
         return None
-    test = NoveltyTest(arrays["novelty.references"], arrays["novelty.groups"])
-    own = {
-        kind: test.rescored(arrays[name], arrays[f"{name}_groups"])
-        for kind in ("matched", "disturbed")
-        if (name := f"novelty.{kind}") in arrays
-    }
-    return PlaceNovelty(test, grid, **own)
+    test = NoveltyTest(arrays["novelty.references"], arrays["novelty.units"])
+    matched = disturbed = None
+    if "matched.scores" in arrays:
+        matched = test.rescored(arrays["matched.scores"], arrays["matched.units"])
+    if "disturbed.novelty" in arrays:
+        disturbed = test.rescored(arrays["disturbed.novelty"], arrays["disturbed.units"])
+    return PlaceNovelty(test, grid, matched, disturbed)
 
 
 def _finite(record: dict[str, Any]) -> dict[str, Any]:
@@ -306,9 +318,9 @@ def _finite(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def _prior(record: dict[str, Any]) -> MotionPrior:
-    tables = {k: tuple(record[k]) for k in _PRIOR_TABLES}
-    depths = {k: math.nan if record[k] is None else float(record[k]) for k in _PRIOR_DEPTHS}
-    return MotionPrior(**{**record, **tables, **depths, "volume_m3": float(record["volume_m3"])})
+    values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in record.items()}
+    depths = {k: math.nan if record[k] is None else float(record[k]) for k in ("depth_m", "depth_spread")}
+    return MotionPrior(**{**values, **depths})
 
 
 def _radius(record: dict[str, Any] | None) -> PoseRadius | None:
@@ -316,23 +328,3 @@ def _radius(record: dict[str, Any] | None) -> PoseRadius | None:
         return None
     limit = math.inf if record["radius_rad"] is None else float(record["radius_rad"])
     return PoseRadius(**{**record, "radius_rad": limit})
-
-
-def _read_record(path: Path) -> dict[str, Any]:
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as exc:
-        raise ModelFileError(f"{path}: no saved model there: {exc.strerror}") from exc
-    except (ValueError, RecursionError) as exc:
-        raise ModelFileError(f"{path}: is no JSON: {exc}") from exc
-    if not isinstance(record, dict) or record.get("format") != _FORMAT:
-        found = record.get("format") if isinstance(record, dict) else type(record).__name__
-        raise ModelFileError(f"{path}: holds format {found!r}, expected {_FORMAT!r}")
-    stated = record.pop("sha256", None)
-    if stated != _digest(record):
-        raise ModelFileError(f"{path}: was altered since it was saved: its digest differs")
-    return record
-
-
-def _digest(record: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()

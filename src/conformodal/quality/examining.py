@@ -65,7 +65,7 @@ def examine(
     Parameters
     ----------
     model
-        The frames that it was trained on are recognised by their pixels; the others are held out. None takes all
+        The frames that it was trained on are recognised by their files; the others are held out. None takes all
         frames as known.
     just_trained
         Whether the model was trained on this very recording: fewer held-out frames are looked at then.
@@ -77,7 +77,7 @@ def examine(
         return RecordingQuality(sequence, posed, poses, posed, scale, coverage)
     model.check_camera(sequence.camera)
     frames = model.localizer.frames
-    at = frames if just_trained else model.known_frames.find(identify(sequence, model.known_frames)).at[frames]
+    at = frames if just_trained else model.known_frames.find(identify(sequence))[frames]
     rows = model.known_frames.poses[frames]
     known = Trajectory(np.arange(len(rows), dtype=np.float64), rows[:, :3], rows[:, 3:])
     scale = ViewScale.of(sequence.camera, depth_or_default(model.prior.depth_m))
