@@ -194,7 +194,7 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
     folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), groups, unit)
     its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
     motions = dict.fromkeys(range(n))
-    paths, _ = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions)
+    paths = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions).rules
     rule, lag = paths["lagged"], FILTER.lag
     assert set(windows) == {(lag + 1, lag + 1)}
     frames = np.rint(rule.scores_[:, 0] * n).astype(int)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import partial
 from typing import cast
@@ -16,7 +16,7 @@ from conformodal.conformal import QuantileBins, SplitConformal, hierarchical_qua
 from conformodal.conformal.calibrators.base import Joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import is_per_unit
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, evenly_spread, rows_by_label
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, Rows, evenly_spread, rows_by_label
 from conformodal.core.parallel import in_threads, raise_if_cancelled
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.features.backbone import Backbone
@@ -54,12 +54,21 @@ def score_beliefs(rule: SplitConformal, localizer: Localizer, beliefs: Beliefs, 
 
 
 @dataclass(frozen=True, eq=False)
-class Calibrated:
+class CalibratedRegions:
     """What held-out frames calibrate: region rules and novelty test; and the beliefs about them, fold by fold."""
 
     rules: RegionRules
     novelty: PlaceNovelty | None
     beliefs: list[Beliefs]
+    quality: QualityRange | None = None  # of the images that the sources know, if disturbed ones are calibrated
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedPaths:
+    """What held-out frames calibrate that are run as streams."""
+
+    rules: dict[str, SplitConformal] = field(default_factory=dict)  # by path: posterior to region
+    reliable_p: float = FILTER.reliable  # a pose counts as reliable from this probability of its place
 
 
 def calibrate_regions(
@@ -68,55 +77,84 @@ def calibrate_regions(
     localizers: Sequence[Localizer],
     novelty: PlaceNovelty | None,
     config: ModelConfig,
-) -> Calibrated:
+) -> CalibratedRegions:
     """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone.
 
     ``bonferroni`` becomes ``max`` where only one threshold for the whole pose would be finite.
     """
-    for fold, localizer in zip(folds.folds, localizers, strict=True):
+    pairs = list(zip(folds.folds, localizers, strict=True))
+    for fold, localizer in pairs:
         _check_unseen(localizer, fold.held_out)
-    held_out = folds.held_out
-    units = None if folds.units is None else folds.units[held_out]
-    local = all(its.local for its in localizers)
-
-    def rule(cells: QuantileBins, joint: Joint) -> SplitConformal:
-        made = SplitConformal(cells, config.alpha, config.score, joint)
-        if not is_per_unit(made.score_) or joint != "max":
-            return made.set_scale()
-        # by the targets' spread, which does not depend on calibration frames
-        return made.set_scale(1 / np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9))
-
-    asked = cast(Joint, config.joint)
-    joints: list[Joint] = [asked, "max"] if asked == "bonferroni" else [asked]
-    scores: dict[Joint, list[RealArray]] = {joint: [] for joint in joints}
-    found: list[Beliefs] = []
-    beyond: list[bool] = []
-    for fold, localizer in zip(folds.folds, localizers, strict=True):
-        frames = fold.held_out
-        beliefs = localizer.beliefs(FrameEvidence(data.features[frames], data.local_features(frames) if local else ()))
-        for joint, its in scores.items():
-            its.append(score_beliefs(rule(localizer.cells, joint), localizer, beliefs, data.targets[frames]))
-        beyond += [its.out_of_range for its in localizer.supports(beliefs)]
-        found.append(beliefs)
-    cells = belief_cells(data.bins_of(folds.region_frames))
-    known_p = np.ones(len(held_out))
+    local = all(localizer.local for localizer in localizers)
+    beliefs = [localizer.beliefs(_evidence(data, fold.held_out, local=local)) for fold, localizer in pairs]
+    known_p = np.ones(len(folds.held_out))
     if novelty is not None:
-        known_p, distances = _appearance(novelty, folds, data)
-        if local:
-            recognition = np.concatenate([its.recognition for its in found])
-            matched = novelty.calibrated(distances, recognition, np.arange(len(held_out)) if units is None else units)
-            novelty, known_p = replace(novelty, matched=matched), matched.left_out_p_values()
-    known_p = np.where(beyond, 0.0, known_p)  # of the evidence type of unknown places, as such images will be
+        novelty, known_p = _novelty_of_held_out(novelty, folds, data, beliefs if local else None)
+    # of the evidence type of unknown places, as such images will be
+    known_p = np.where(
+        np.concatenate([_out_of_range(*pair) for pair in zip(localizers, beliefs, strict=True)]), 0, known_p
+    )
     level = 0.0 if novelty is None else novelty.level(config.novelty_level)
-    recognised = np.concatenate([its.recognised for its in found]) if local else None
+    recognised = np.concatenate([one.recognised for one in beliefs]) if local else None
+    units = None if folds.units is None else folds.units[folds.held_out]
+    cells = belief_cells(data.bins_of(folds.region_frames))
 
-    def calibrated(joint: Joint) -> RegionRules:
-        own = rule(cells, joint).calibrate_scores(np.concatenate(scores[joint]), units)
-        return RegionRules(own, recognised, known_p, level)
+    def rule_of(bins: QuantileBins, joint: Joint) -> SplitConformal:
+        rule = SplitConformal(bins, config.alpha, config.score, joint)
+        if not is_per_unit(rule.score_) or joint != "max":
+            return rule.set_scale()
+        # by the targets' spread, which does not depend on calibration frames
+        return rule.set_scale(1 / np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9))
 
-    rules = calibrated(asked)
-    rules = calibrated("max") if len(joints) > 1 and _has_type_for_max_only(rules) else rules
-    return Calibrated(rules, novelty, found)
+    def rules_of(joint: Joint) -> RegionRules:
+        scores = [
+            score_beliefs(rule_of(localizer.cells, joint), localizer, one, data.targets[fold.held_out])
+            for (fold, localizer), one in zip(pairs, beliefs, strict=True)
+        ]
+        overall = rule_of(cells, joint).calibrate_scores(np.concatenate(scores), units)
+        return RegionRules(overall, recognised, known_p, level)
+
+    rules = rules_of(cast(Joint, config.joint))
+    if config.joint == "bonferroni" and _has_type_for_max_only(rules):
+        rules = rules_of("max")
+    return CalibratedRegions(rules, novelty, beliefs)
+
+
+def _evidence(data: SourceData, frames: IntArray, *, local: bool) -> FrameEvidence:
+    return FrameEvidence(data.features[frames], data.local_features(frames) if local else ())
+
+
+def _out_of_range(localizer: Localizer, beliefs: Beliefs) -> BoolArray:
+    """(n,) whether images are most probably from beyond the cells."""
+    return np.array([support.out_of_range for support in localizer.supports(beliefs)], dtype=np.bool_)
+
+
+def _novelty_of_held_out(
+    novelty: PlaceNovelty, folds: Folds, data: SourceData, beliefs: Sequence[Beliefs] | None
+) -> tuple[PlaceNovelty, FloatArray]:
+    """p-values of the calibration frames, and the test; with beliefs, the test of images with local features too."""
+    held_out, test = folds.held_out, novelty.test
+    if folds.units is None:
+        distances = novelty.distances(_evidence(data, held_out, local=False))
+        known_p = test.p_values(distances)
+    else:  # each against the frames of other pieces; the frames that sources learn from are the last of the references
+        at = np.searchsorted(folds.region_frames, held_out) - len(folds.region_frames)
+        known_p, distances = test.left_out_p_values()[at], test.scores_[at]
+    if beliefs is None:
+        return novelty, known_p
+    units = np.arange(len(held_out)) if folds.units is None else folds.units[held_out]
+    matched = novelty.calibrated(distances, np.concatenate([one.recognition for one in beliefs]), units)
+    return replace(novelty, matched=matched), matched.left_out_p_values()
+
+
+@dataclass(frozen=True, eq=False)
+class _Disturbed(Rows):
+    """Disturbed copies of held-out frames that are beyond the range of qualities."""
+
+    scores: RealArray
+    ranked: FloatArray  # by the novelty test
+    out_of_range: BoolArray
+    units: IntArray
 
 
 def calibrate_disturbed(
@@ -125,9 +163,9 @@ def calibrate_disturbed(
     cache: FeatureCache,
     folds: Folds,
     localizers: Sequence[Localizer],
-    calibrated: Calibrated,
+    calibrated: CalibratedRegions,
     progress: StageProgress | None = None,
-) -> tuple[Calibrated, QualityRange | None]:
+) -> CalibratedRegions:
     """Calibrate the evidence type of disturbed images, on copies of held-out frames that are disturbed at random.
 
     Those count whose quality is beyond that of all frames that the sources learn from. Without local features, or with
@@ -135,39 +173,61 @@ def calibrate_disturbed(
     """
     rules, novelty = calibrated.rules, calibrated.novelty
     if rules.recognised is None or novelty is None:
-        return calibrated, None
-    known = data.local_features(folds.region_frames)
-    quality = QualityRange.of(np.array([its.quality for its in known]))
+        return calibrated
+    quality = QualityRange.of(np.array([own.quality for own in data.local_features(folds.region_frames)]))
     sequence = replace(data.sequence, noise=Disturbance(_DISTURBED_SEED, data.sequence.noise))
-    found: list[tuple[RealArray, FloatArray, BoolArray, IntArray]] = []  # scores, novelty, out of range, units
+    parts: list[_Disturbed] = []
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         most = -(-_MOST_DISTURBED // len(folds.folds))
         frames = fold.held_out[:: -(-len(fold.held_out) // most)]
         copies = in_threads(partial(frame_features, sequence), frames.tolist())
-        left = quality.left_by(np.array([its.quality for its in copies]))
+        left = quality.left_by(np.array([own.quality for own in copies]))
         if not left.any():
             continue
-        frames, copies = frames[left], [its for its, counts in zip(copies, left, strict=True) if counts]
+        frames, copies = frames[left], [own for own, counts in zip(copies, left, strict=True) if counts]
         paths, stage = [sequence.image_paths[i] for i in frames], stage_of(progress, "disturbed images")
         features = extract_features(paths, backbone, cache, stage, sequence.noise)
         evidence = FrameEvidence(features, copies)
         beliefs = localizer.beliefs(evidence)
-        scorer = copy(rules.overall)
-        scorer.bins = localizer.cells
-        scores = score_beliefs(scorer, localizer, beliefs, data.targets[frames])
-        pieces = None if folds.units is None else folds.pieces[frames]
-        beyond = np.array([its.out_of_range for its in localizer.supports(beliefs)])
-        ranked = novelty.ranked(novelty.distances(evidence, pieces), beliefs.recognition)
-        found.append((scores, ranked, beyond, frames if folds.units is None else folds.units[frames]))
-    if not found:
-        return calibrated, None
-    scores, ranked, beyond, units = (np.concatenate(its) for its in zip(*found, strict=True))
-    test = novelty.test.rescored(ranked, np.arange(len(scores)) if folds.units is None else units)
+        distances = novelty.distances(evidence, None if folds.units is None else folds.pieces[frames])
+        parts.append(
+            _Disturbed(
+                score_beliefs(_on_cells(rules.overall, localizer), localizer, beliefs, data.targets[frames]),
+                novelty.ranked(distances, beliefs.recognition),
+                _out_of_range(localizer, beliefs),
+                frames if folds.units is None else folds.units[frames],
+            )
+        )
+    if not parts:
+        return calibrated
+    every = _Disturbed.concatenate(parts)
+    test = novelty.test.rescored(every.ranked, np.arange(len(every.scores)) if folds.units is None else every.units)
     if 0 < rules.level < test.least_p:  # so few that none could be flagged as unknown
-        return calibrated, None
-    rule = copy(rules.overall).calibrate_scores(scores, None if folds.units is None else units)
-    rules = replace(rules, disturbed=rule, disturbed_p=np.where(beyond, 0.0, novelty.disturbed_p(test)))
-    return replace(calibrated, rules=rules, novelty=replace(novelty, disturbed=test)), quality
+        return calibrated
+    rule = copy(rules.overall).calibrate_scores(every.scores, None if folds.units is None else every.units)
+    disturbed_p = np.where(every.out_of_range, 0.0, novelty.disturbed_p(test))
+    return replace(
+        calibrated,
+        rules=replace(rules, disturbed=rule, disturbed_p=disturbed_p),
+        novelty=replace(novelty, disturbed=test),
+        quality=quality,
+    )
+
+
+def _on_cells(rule: SplitConformal, localizer: Localizer) -> SplitConformal:
+    """A rule that scores the beliefs of a localizer, whose cells are its own."""
+    scorer = copy(rule)
+    scorer.bins = localizer.cells
+    return scorer
+
+
+@dataclass(frozen=True, eq=False)
+class _Scored(Rows):
+    """Scores of held-out frames under posteriors."""
+
+    scores: RealArray
+    lost: BoolArray
+    rows: IntArray  # among the held-out frames
 
 
 def calibrate_paths(
@@ -175,10 +235,10 @@ def calibrate_paths(
     targets: FloatArray,
     folds: Folds,
     localizers: Sequence[Localizer],
-    calibrated: Calibrated,
+    calibrated: CalibratedRegions,
     prior: MotionPrior,
     motions: dict[int, RelativeMotion | None],
-) -> tuple[dict[str, SplitConformal], float]:
+) -> CalibratedPaths:
     """Thresholds of regions from posteriors: held-out frames are run as streams, one per fold, unit and recording.
     `motions` are those between held-out frames.
 
@@ -192,66 +252,63 @@ def calibrate_paths(
     Where stretches calibrate, this is exact for a new stretch that is run from its first frame. Where frames do, the
     streams of calibration and test frames differ in their gaps, so the guarantee is approximate.
     """
-    rules = calibrated.rules
+    rules, truth, n = calibrated.rules, sequence.require_truth(), len(folds.held_out)
     units = sequence.recording if folds.units is None else folds.units
     known = rules.known if rules.recognised is None else rules.known | rules.recognised
-    # by path, of each fold: scores, whether each posterior is lost, and rows among the held-out frames
-    answered: dict[str, list[tuple[RealArray, BoolArray, IntArray]]] = {path: [] for path in PATHS}
-    truth, n = sequence.require_truth(), len(folds.held_out)
+    scored: dict[str, list[_Scored]] = {path: [] for path in PATHS}
     wrong = np.full(n, -np.inf)  # probabilities of wrong places online
     start, rng = 0, np.random.default_rng(0)
     n_streams = sum(len(np.unique(units[fold.held_out])) for fold in folds.folds)
-    for fold, localizer, own in zip(folds.folds, localizers, calibrated.beliefs, strict=True):
-        rule, held_out = path_rule(localizer.cells, rules.overall.alpha), fold.held_out
-        found: dict[str, dict[int, Posterior]] = {path: {} for path in PATHS}
+    for fold, localizer, beliefs in zip(folds.folds, localizers, calibrated.beliefs, strict=True):
+        held_out = fold.held_out
+        posteriors: dict[str, dict[int, Posterior]] = {path: {} for path in PATHS}
         for at in rows_by_label(units[held_out]):
-            moved, times = [motions[frame] for frame in held_out[at].tolist()], sequence.timestamps_s[held_out[at]]
-            candidates = [own.mixtures[i].candidates for i in at.tolist()]
-            seen = Observations(candidates, moved, times, known=known[start + at])
-            forward = filter_posteriors(seen, prior)
-            found[ONLINE].update(zip(at.tolist(), forward, strict=True))
-            found[HINDSIGHT].update(zip(at.tolist(), hindsight_posteriors(seen, prior, forward), strict=True))
+            frames, rows = held_out[at], at.tolist()
+            observations = Observations(
+                [beliefs.mixtures[i].candidates for i in rows],
+                [motions[frame] for frame in frames.tolist()],
+                sequence.timestamps_s[frames],
+                known=known[start + at],
+            )
+            forward = filter_posteriors(observations, prior)
+            posteriors[ONLINE] |= dict(zip(rows, forward, strict=True))
+            posteriors[HINDSIGHT] |= dict(zip(rows, hindsight_posteriors(observations, prior, forward), strict=True))
             drawn = FILTER.lagged / n_streams if folds.units is not None else FILTER.lagged * len(at) / n
-            some = rng.permutation(max(len(at) - FILTER.lag, 0))[: math.ceil(drawn)]
-            windows = {int(at[k]): slice(k, k + FILTER.lag + 1) for k in some.tolist()}
-            found[LAGGED] |= {i: Window(seen.part(k), forward[k]).first(prior) for i, k in windows.items()}
-            best, probability = choose_places(forward, times, prior)
-            true = truth[held_out[at]]
+            for k in rng.permutation(max(len(at) - FILTER.lag, 0))[: math.ceil(drawn)].tolist():
+                window = slice(k, k + FILTER.lag + 1)
+                posteriors[LAGGED][rows[k]] = Window(observations.part(window), forward[window]).first(prior)
+            best, probability = choose_places(forward, observations.timestamps_s, prior)
+            true = truth[frames]
             right = same_place(best, true.positions_xyz, true.orientations_quat_wxyz, prior)
             wrong[start + at] = np.where(right, -np.inf, probability)
             raise_if_cancelled()
-        for path, posteriors in found.items():
-            if not posteriors:
-                continue
-            which = np.array(sorted(posteriors))
-            its = [posteriors[i] for i in which.tolist()]
-            after = own.part(which).after(its)
-            supports = localizer.supports(after)
-            lost = np.array([one.lost or of.out_of_range for one, of in zip(its, supports, strict=True)])
-            scores = score_beliefs(rule, localizer, after, targets[held_out[which]])
-            answered[path].append((scores, lost, start + which))
+        rule = path_rule(localizer.cells, rules.overall.alpha)
+        for path, by_row in posteriors.items():
+            if by_row:
+                which = np.array(sorted(by_row))
+                chosen = [by_row[i] for i in which.tolist()]
+                after = beliefs.part(which).after(chosen)
+                lost = np.array([one.lost for one in chosen]) | _out_of_range(localizer, after)
+                scores = score_beliefs(rule, localizer, after, targets[held_out[which]])
+                scored[path].append(_Scored(scores, lost, start + which))
         start += len(held_out)
-    return _thresholds(rules.overall, answered, wrong)
+    return _path_thresholds(rules.overall, scored, wrong)
 
 
-def _thresholds(
-    overall: SplitConformal,
-    answered: dict[str, list[tuple[RealArray, BoolArray, IntArray]]],
-    wrong: FloatArray,
-) -> tuple[dict[str, SplitConformal], float]:
-    """What :func:`calibrate_paths` gives, from the answers of the folds and the probabilities (n,) of wrong places."""
-    labels, paths, reliable_p = overall.units_, {}, FILTER.reliable
-    for path, parts in answered.items():
+def _path_thresholds(overall: SplitConformal, scored: dict[str, list[_Scored]], wrong: FloatArray) -> CalibratedPaths:
+    """From the scores of the folds by path, and the probabilities (n,) of wrong places online."""
+    labels, rules, reliable_p = overall.units_, {}, FILTER.reliable
+    for path, parts in scored.items():
         if not parts:
             continue
-        scores, lost, rows = (np.concatenate(its) for its in zip(*parts, strict=True))
-        own_labels = None if labels is None else labels[rows]
-        rule = path_rule(overall.bins, overall.alpha).calibrate_scores(scores, own_labels)
-        paths[path] = part_of(rule, ~lost)
+        every = _Scored.concatenate(parts)
+        units = None if labels is None else labels[every.rows]
+        rule = path_rule(overall.bins, overall.alpha).calibrate_scores(every.scores, units)
+        rules[path] = part_of(rule, ~every.lost)
         if path == ONLINE:
-            held = (scores <= paths[path].thresholds_).all(axis=1) | lost
+            held = (every.scores <= rules[path].thresholds_).all(axis=1) | every.lost
             reliable_p = _reliable_p(np.where(held, -np.inf, wrong), labels)
-    return paths, reliable_p
+    return CalibratedPaths(rules, reliable_p)
 
 
 def _reliable_p(wrong: FloatArray, labels: IntArray | None) -> float:
@@ -276,15 +333,12 @@ def compare_sources(
     """
     frames = frames[evenly_spread(len(frames), _MOST_COMPARED)]
 
-    def answered(own: Localizer, rows: IntArray) -> tuple[BoolArray, RealArray, BoolArray]:
-        local = () if rules.recognised is None else data.local_features(frames[rows])
-        images = FrameEvidence(data.features[frames[rows]], local)
-        beliefs, p = own.beliefs(images), np.ones(len(rows))
+    def answered(by: Localizer, rows: IntArray) -> tuple[BoolArray, RealArray, BoolArray]:
+        images = _evidence(data, frames[rows], local=rules.recognised is not None)
+        beliefs, p = by.beliefs(images), np.ones(len(rows))
         if novelty is not None:
             p = novelty.p_values(images, beliefs.recognition)
-        scorer = copy(rules.overall)
-        scorer.bins = own.cells
-        scores = score_beliefs(scorer, own, beliefs, data.targets[frames[rows]])
+        scores = score_beliefs(_on_cells(rules.overall, by), by, beliefs, data.targets[frames[rows]])
         kinds = rules.kinds(p, beliefs.recognised)
         held = np.asarray((scores <= rules.thresholds(kinds)).all(axis=1))
         return held, rules.overall.columns(scores).mean(axis=1), kinds != EvidenceType.UNKNOWN
@@ -292,10 +346,10 @@ def compare_sources(
     n = len(frames)
     by_model, score, shown = answered(localizer, np.arange(n))
     by_folds, other = np.empty(n, dtype=bool), np.empty(n)
-    for k, own in enumerate(localizers):
+    for k, by in enumerate(localizers):
         rows = np.arange(k, n, len(localizers))
         if rows.size:
-            by_folds[rows], other[rows], _ = answered(own, rows)
+            by_folds[rows], other[rows], _ = answered(by, rows)
     if not shown.any():
         return None
     return SourceComparison(
@@ -337,13 +391,3 @@ def _has_type_for_max_only(rules: RegionRules) -> bool:
     for_max = 1 / as_alpha(rules.overall.alpha) - 1
     for_each = 1 / rules.overall.alpha_per_target - 1
     return any(for_max <= rule.weight < for_each for rule in rules.by_type.values())
-
-
-def _appearance(novelty: PlaceNovelty, folds: Folds, data: SourceData) -> tuple[FloatArray, FloatArray]:
-    """p-values of the calibration frames by appearance, each against the frames of other pieces, and distances."""
-    if folds.units is None:
-        distances = novelty.distances(FrameEvidence(data.features[folds.held_out]))
-        return novelty.test.p_values(distances), distances
-    # the frames that the sources learn from are the last of the references
-    at = np.searchsorted(folds.region_frames, folds.held_out) - len(folds.region_frames)
-    return novelty.test.left_out_p_values()[at], novelty.test.scores_[at]

@@ -54,9 +54,12 @@ def identify(sequence: Recording) -> FrameIdentities:
 
 def same_poses(one: FloatArray, other: FloatArray) -> BoolArray:
     """(n,) whether two poses (n, 7) are the same but for the last digits of a text file; NaN is any pose."""
-    off = np.linalg.norm(one[:, :3] - other[:, :3], axis=1) / np.maximum(1, np.linalg.norm(one[:, :3], axis=1))
-    angle = angle_between_quats(one[:, 3:], other[:, 3:])
-    return np.asarray(~((off > _TOLERANCE) | (angle > _TOLERANCE)))
+    posed = np.isfinite(one + other).all(axis=1)
+    a, b = one[posed], other[posed]
+    off = np.linalg.norm(a[:, :3] - b[:, :3], axis=1) / np.maximum(1, np.linalg.norm(a[:, :3], axis=1))
+    same = np.ones(len(one), dtype=np.bool_)
+    same[posed] = (off <= _TOLERANCE) & (angle_between_quats(a[:, 3:], b[:, 3:]) <= _TOLERANCE)
+    return same
 
 
 def data_digest(sequence: Recording) -> str:

@@ -220,8 +220,8 @@ def _check_schema(record: dict[str, Any], arrays: dict[str, AnyArray]) -> None:
     for name, array in arrays.items():
         if name.startswith("source."):
             continue
-        group, *_, last = parts = name.split(".")
-        expected = _ARRAYS.get(name) or _ARRAYS.get(f"{group}.*" if len(parts) == 2 else f"{group}.*.{last}")
+        group, *rest = name.split(".")
+        expected = _ARRAYS.get(name) or _ARRAYS.get(".".join([group, "*", *rest[1:]]))
         if expected != (array.dtype.kind, array.ndim):
             raise TypeError(f"array {name} is {array.dtype} {array.shape}, expected {expected}")
 

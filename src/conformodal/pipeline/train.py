@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from conformodal.conformal import SplitConformal
 from conformodal.core.extras import require_extra
 from conformodal.core.parallel import side_by_side
 from conformodal.core.progress import StageProgress, stage_of
@@ -17,11 +16,18 @@ from conformodal.io import Recording, make_split, with_random_calibration
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.novelty import PlaceNovelty
 from conformodal.localizer.prior import MotionPrior, fit_motion_prior
-from conformodal.localizer.settings import FILTER
 from conformodal.localizer.targets import pose_targets
 from conformodal.tracking.motions import measure_motions
 
-from .calibrate import calibrate_disturbed, calibrate_paths, calibrate_regions, compare_sources, paper_rules
+from .calibrate import (
+    CalibratedPaths,
+    CalibratedRegions,
+    calibrate_disturbed,
+    calibrate_paths,
+    calibrate_regions,
+    compare_sources,
+    paper_rules,
+)
 from .config import Method, ModelConfig, Runtime, record_of
 from .folds import Folds, make_folds
 from .identity import identify
@@ -107,18 +113,19 @@ def train_model(
     localizers = localizers or [localizer]
     prior = _motion_prior(data, config)
     if config.method is Method.PAPER:  # without a novelty test
-        novelty, rules = None, paper_rules(sources, folds.held_out, localizer, config)
-        paths: dict[str, SplitConformal] = {}
-        reliable_p, quality = FILTER.reliable, None
+        paths, regions = (
+            CalibratedPaths(),
+            CalibratedRegions(paper_rules(sources, folds.held_out, localizer, config), None, []),
+        )
     else:
         known, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
         novelty = PlaceNovelty.fit(known, pieces, data.backbone.config.grid)
-        its = calibrate_regions(sources, folds, localizers, novelty, config)
-        (paths, reliable_p), (disturbed, quality) = side_by_side(
-            lambda: calibrate_paths(data.sequence, data.targets, folds, localizers, its, prior, motions),
-            lambda: calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, its, progress),
+        frames_alone = calibrate_regions(sources, folds, localizers, novelty, config)
+        paths, regions = side_by_side(
+            lambda: calibrate_paths(data.sequence, data.targets, folds, localizers, frames_alone, prior, motions),
+            lambda: calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, frames_alone, progress),
         )
-        rules, novelty = disturbed.rules, disturbed.novelty
+    rules, novelty = regions.rules, regions.novelty
     stretches, test = folds.units is not None, data.split.test
     return PoseModel(
         backbone=data.backbone,
@@ -132,9 +139,9 @@ def train_model(
         configuration=record_of(config, data.sequence.name, len(data.sequence), "stretches" if stretches else "frames")
         | {"whole_recordings": folds.whole_recordings},
         comparison=compare_sources(sources, localizers, localizer, novelty, rules, test) if stretches else None,
-        path_rules=paths,
-        reliable_p=reliable_p,
-        quality=quality,
+        path_rules=paths.rules,
+        reliable_p=paths.reliable_p,
+        quality=regions.quality,
     )
 
 
