@@ -174,17 +174,17 @@ def calibrate_disturbed(
     rules, novelty = calibrated.rules, calibrated.novelty
     if rules.recognised is None or novelty is None:
         return calibrated
-    quality = QualityRange.of(np.array([own.quality for own in data.local_features(folds.region_frames)]))
+    quality = QualityRange.of(np.array([features.quality for features in data.local_features(folds.region_frames)]))
     sequence = replace(data.sequence, noise=Disturbance(_DISTURBED_SEED, data.sequence.noise))
     parts: list[_Disturbed] = []
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         most = -(-_MOST_DISTURBED // len(folds.folds))
         frames = fold.held_out[:: -(-len(fold.held_out) // most)]
         copies = in_threads(partial(frame_features, sequence), frames.tolist())
-        left = quality.left_by(np.array([own.quality for own in copies]))
+        left = quality.left_by(np.array([one.quality for one in copies]))
         if not left.any():
             continue
-        frames, copies = frames[left], [own for own, counts in zip(copies, left, strict=True) if counts]
+        frames, copies = frames[left], [one for one, counts in zip(copies, left, strict=True) if counts]
         paths, stage = [sequence.image_paths[i] for i in frames], stage_of(progress, "disturbed images")
         features = extract_features(paths, backbone, cache, stage, sequence.noise)
         evidence = FrameEvidence(features, copies)
@@ -364,10 +364,10 @@ def compare_sources(
 def _check_unseen(localizer: Localizer, held_out: IntArray) -> None:
     """Refuse sources that have seen calibration frames: their scores are too low, which voids the guarantee."""
     for source in localizer.sources:
-        seen = np.intersect1d(source.frames, held_out)
-        if seen.size:
+        learnt = np.intersect1d(source.frames, held_out)
+        if learnt.size:
             raise OdometryError(
-                f"pose source {source.name!r} has seen frame {seen[0]}, and {seen.size} of the "
+                f"pose source {source.name!r} has seen frame {learnt[0]}, and {learnt.size} of the "
                 f"{len(held_out)} frames in all that it is to be calibrated on; a source may look at the "
                 "frames alone that its fit is given"
             )

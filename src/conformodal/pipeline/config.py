@@ -182,5 +182,5 @@ def record_of(config: ModelConfig, data: str, n_frames: int, calibrate_on: str) 
 def config_of(record: Mapping[str, Any]) -> ModelConfig:
     """The settings of a model, from :attr:`~conformodal.pipeline.model.PoseModel.settings`."""
     settings = {f.name: record[f.name] for f in fields(ModelConfig) if f.name in record}
-    kinds: dict[str, Callable[[Any], Any]] = {"sources": tuple, "training": lambda its: TrainingConfig(**its)}
+    kinds: dict[str, Callable[[Any], Any]] = {"sources": tuple, "training": lambda training: TrainingConfig(**training)}
     return ModelConfig(**{k: kinds[k](v) if k in kinds else v for k, v in settings.items()})

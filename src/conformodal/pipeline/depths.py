@@ -49,12 +49,12 @@ def _cut(part: IntArray) -> list[IntArray]:
 
 
 def _followed(sequence: Recording, frames: IntArray) -> list[Corners]:
-    tracker, found = CornerTracker(), []
+    tracker, corners = CornerTracker(), []
     for i in frames.tolist():
         tracker.advance(grey_image(sequence.image(i)))
         tracker.mark()
-        found.append(tracker.corners())
-    return found
+        corners.append(tracker.corners())
+    return corners
 
 
 def _depth(submap: Submap, truth: Trajectory) -> float:

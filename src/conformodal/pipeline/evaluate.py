@@ -198,24 +198,24 @@ def path_coverage_table(
     `online` and `truth` are the poses that a robot got and the true ones, `reliable` whether each counted as reliable.
     """
     by_frame = model.rules.overall.units_ is None
-    found: dict[str, Any] = {
+    table: dict[str, Any] = {
         path: {
-            "coverage": float(its.held.mean()),
-            "abstained": float((~its.bounded).mean()),
-            **bounded_coverage(its.held, its.bounded),
-            **places_row(its),
-            "by_size": coverage_by_size(its),
-            "median_length_m": [finite_or_none(x) for x in np.median(its.length[:, :3], axis=0)],
+            "coverage": float(regions.held.mean()),
+            "abstained": float((~regions.bounded).mean()),
+            **bounded_coverage(regions.held, regions.bounded),
+            **places_row(regions),
+            "by_size": coverage_by_size(regions),
+            "median_length_m": [finite_or_none(x) for x in np.median(regions.length[:, :3], axis=0)],
         }
-        for path, its in statistics.items()
+        for path, regions in statistics.items()
     }
     if ONLINE in statistics:
         missed = reliable & ~statistics[ONLINE].held
         wrong = reliable & ~same_place(online, truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
         counts = {"n_reliable": reliable, "n_reliable_and_missed": missed, "n_reliable_and_elsewhere": missed & wrong}
-        found |= {name: int(which.sum()) for name, which in counts.items()} | {"n_evaluated": len(reliable)}
-    found["assumption"] = _PATHS_BY_FRAME if by_frame else _PATHS_BY_STRETCH
-    return found
+        table |= {name: int(which.sum()) for name, which in counts.items()} | {"n_evaluated": len(reliable)}
+    table["assumption"] = _PATHS_BY_FRAME if by_frame else _PATHS_BY_STRETCH
+    return table
 
 
 def bounded_coverage(held: BoolArray, bounded: BoolArray) -> dict[str, Any]:

@@ -37,11 +37,11 @@ def provenance() -> dict[str, Any]:
 
 def _versions() -> dict[str, str]:
     """Of the packages that are installed: running a model needs fewer than training one."""
-    found = {}
+    versions = {}
     for name in _PACKAGES:
         with suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
+            versions[name] = metadata.version(name)
+    return versions
 
 
 def source_revision(root: Path) -> str | None:
