@@ -70,7 +70,7 @@ def fitted(n_train=800, **options):
     return ConformalRegressor(forest, **options).fit(X[:n_train], y[:n_train]), X[n_train:], y[n_train:]
 
 
-@pytest.mark.parametrize("options", [{}, {"max_intervals": 2}, {"score": "lac"}])
+@pytest.mark.parametrize("options", [{}, {"max_intervals": 2}, {"conformity_score": "lac"}])
 def test_several_rates_give_nested_regions(options):
     reg, X, y = fitted(**options)
     found = reg.predict_region(X, alpha=[0.05, 0.1, 0.3])
@@ -87,7 +87,7 @@ def test_a_limit_on_the_intervals_keeps_coverage(k):
     assert regions.n_intervals.max() == k
     assert check_coverage(regions.contains(y)[:, 0], 160, 0.1, 0.999).inside
     with pytest.raises(ConformodalError, match=r"score must be 'density', the default, with max_intervals, got 'aps'"):
-        fitted(max_intervals=2, score="aps")
+        fitted(max_intervals=2, conformity_score="aps")
 
 
 def test_no_set_reaches_beyond_the_bounds():

@@ -33,7 +33,7 @@ def test_no_score_makes_every_set_the_whole_range(score):
     rng = np.random.default_rng(0)
     X = rng.uniform(-1, 1, (1500, 2))
     y = 2 * X[:, 0] + 0.2 * rng.standard_normal(1500)
-    reg = ConformalRegressor(KNeighborsClassifier(), score=score, random_state=0).fit(X[:750], y[:750])
+    reg = ConformalRegressor(KNeighborsClassifier(), conformity_score=score, random_state=0).fit(X[:750], y[:750])
     assert reg.predict_region(X[750:]).length.mean() < 0.5 * np.ptp(y)
 
 
@@ -116,6 +116,6 @@ class Rote:
 def test_scales_of_joint_coverage_come_from_rows_that_were_not_learnt_from(estimator):
     rng = np.random.default_rng(0)
     X, Y = rng.random((500, 1)), rng.random((500, 2))
-    reg = ConformalRegressor(estimator, n_bins=10, score="lac", joint="max", calibration_size=0, random_state=0)
+    reg = ConformalRegressor(estimator, n_bins=10, conformity_score="lac", joint="max", calibration_size=0, random_state=0)
     # of rows that were learnt from the median score is 0: certainty
     assert (reg.fit(X, Y).calibrator_.loc_ > 0.5).all()
