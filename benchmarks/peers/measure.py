@@ -45,7 +45,7 @@ def measure(sets: Sets, split: Split, alpha: float) -> dict[str, float | None]:
         ends = np.concatenate(([grid[0] - (middles[0] - grid[0])], middles, [grid[-1] + (grid[-1] - middles[-1])]))
         reach = np.concatenate(([0.0], np.cumsum(np.diff(ends))))
         sizes = reach[np.searchsorted(grid, sets.high, "right")] - reach[np.searchsorted(grid, sets.low, "left")]
-    slab = worst_slab(inside, split.X["test"], len(split.y["cal"]), alpha).coverage
+    slab = worst_slab(inside, split.X["test"], len(split.y["cal"]), alpha)
     return {
         "covered": int(inside.sum()),
         "worst slab": None if slab is None else slab.coverage,

@@ -3,7 +3,6 @@ import pytest
 from scipy import stats
 
 from conformodal.conformal import (
-    ConformodalError,
     QuantileBins,
     SplitConformal,
     check_coverage,
@@ -47,13 +46,6 @@ def test_coverage_band_is_central_and_exact():
     assert coverage_band(5, 10, 0.1) == (1.0, 1.0)
     assert check_coverage(np.ones(50, bool), 99, 0.1).coverage == 1
     assert not check_coverage(np.arange(50) < 25, 99, 0.1).inside
-    for bad in (
-        lambda: coverage_band(9, 0, 0.1),
-        lambda: coverage_band(9, 9, 0.1, 1),
-        lambda: check_coverage([], 9, 0.1),
-    ):
-        with pytest.raises(ConformodalError):
-            bad()
 
 
 SPLITS, M = 1000, 40

@@ -97,13 +97,6 @@ def test_all_members_of_a_group_weigh_as_much_as_without_sizes():
         hierarchical_quantile(groups, 0.4, [3, 3, 2])
 
 
-@pytest.mark.parametrize("alpha", [0.1, 0.25])
-@pytest.mark.parametrize("level", [0.9, 0.99])
-def test_one_group_is_the_plain_band(alpha, level):
-    for n, m in ((9, 1), (20, 7), (200, 80)):
-        assert grouped_coverage_band([(n, m)], alpha, level) == coverage_band(n, m, alpha, level)
-
-
 def test_two_groups_are_the_sum_over_all_pairs_of_counts():
     groups, alpha, level = [(12, 8), (31, 5)], 0.1, 0.95
     ranks = [conformal_rank(n, alpha) for n, _ in groups]

@@ -9,7 +9,6 @@ from sklearn.ensemble import RandomForestClassifier
 
 from conformodal.conformal import (
     ConformalRegressor,
-    ConformodalError,
     MaxIntervals,
     QuantileBins,
     check_coverage,
@@ -86,8 +85,6 @@ def test_a_limit_on_the_intervals_keeps_coverage(k):
     regions = reg.predict_region(X)
     assert regions.n_intervals.max() == k
     assert check_coverage(regions.contains(y)[:, 0], 160, 0.1, 0.999).inside
-    with pytest.raises(ConformodalError, match=r"score must be 'density', the default, with max_intervals, got 'aps'"):
-        fitted(max_intervals=2, conformity_score="aps")
 
 
 def test_no_set_reaches_beyond_the_bounds():
@@ -102,19 +99,9 @@ def test_no_set_reaches_beyond_the_bounds():
     assert not regions.contains(np.full(len(y), 6.0)).any()
 
 
-def test_bounds_cut_the_outer_bins_and_refuse_values_beyond():
+def test_bounds_cut_the_outer_bins():
     y = np.column_stack((np.abs(RNG.normal(size=200)), RNG.normal(size=200)))
     edges = QuantileBins(10, margin=0.5, tail=1.0, y_min=[0, -np.inf]).fit(y).edges_
     assert edges[0][0] == 0
     assert edges[1][0] < y[:, 1].min()
     assert edges[0][-1] > 2 * y[:, 0].max() - 1
-    for options, match in (
-        ({"y_min": 0}, r"y must lie in \[0, inf\], found -[\d.]+ in row \d+, target 1"),
-        ({"y_max": [1, 2, 3]}, r"y_max must be a number, or one per target \(2\)"),
-        ({"y_min": 3, "y_max": 3}, "y_min must be below y_max, got 3 and 3"),
-    ):
-        with pytest.raises(ConformodalError, match=match):
-            QuantileBins(10, **options).fit(y)
-    reg, X, _ = fitted(y_min=0)
-    with pytest.raises(ConformodalError, match=r"y must lie in \[0, inf\], found -1 in row 0"):
-        reg.conformalize(X[:20], np.full(20, -1.0))

@@ -68,16 +68,6 @@ def test_those_that_are_novel_are_the_same_whichever_sample_joins_them():
         np.testing.assert_array_equal(test.left_out_p_values() <= level, among_all)
 
 
-def test_p_values_of_other_scores_are_uniform_on_their_ranks():
-    rng = np.random.default_rng(4)
-    test, p = NoveltyTest(rng.normal(size=(5, 2)), np.arange(5)), []
-    for _ in range(2000):
-        scores = rng.normal(size=10)
-        p.append(test.rescored(scores[:9], np.arange(9)).p_values(scores[9:])[0])
-    counts = np.bincount(np.rint(np.array(p) * 10).astype(int), minlength=11)[1:]
-    assert stats.chisquare(counts).pvalue > 1e-4
-
-
 def test_references_of_a_samples_own_group_do_not_count():
     rng = np.random.default_rng(4)
     known, groups, new = rng.normal(size=(30, 3)), rng.choice(["a", "b", "c"], 30), rng.normal(size=(8, 3))

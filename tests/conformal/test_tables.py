@@ -12,11 +12,11 @@ from sklearn.compose import make_column_transformer
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import FunctionTransformer, OneHotEncoder
+from sklearn.preprocessing import OneHotEncoder
 from sklearn.tree import DecisionTreeClassifier
 from sklearn.utils import get_tags
 
-from conformodal.conformal import ConformalRegressor, ConformodalError, MondrianConformal, QuantileBins, region_scorers
+from conformodal.conformal import ConformalRegressor, ConformodalError, MondrianConformal, region_scorers
 from conformodal.conformal.density.encoder import TableEncoder, as_column
 
 N = 240
@@ -83,22 +83,6 @@ def test_every_library_gives_the_same_columns():
     expected = TableEncoder().fit(X).transform(X)
     for other in kinds(X):
         np.testing.assert_allclose(TableEncoder().fit(other).transform(other), expected)
-
-
-def test_polars_and_pandas_give_the_same_regions():
-    pl = pytest.importorskip("polars")
-    X, y = frame(200)
-    numbers = X[["age", "hospital"]].assign(age=X.age.fillna(50))
-    table, values = pl.DataFrame(numbers.to_dict("list")), pl.Series("dose", y.to_list())
-    inner = make_pipeline(FunctionTransformer(ages), DecisionTreeClassifier(max_depth=4, random_state=0))
-    found = [
-        ConformalRegressor(inner, n_bins=8, random_state=0)
-        .fit(a, b, groups=a["hospital"])
-        .predict_region(a, groups=a["hospital"])
-        .masks[0]
-        for a, b in ((numbers, y), (table, values))
-    ]
-    np.testing.assert_array_equal(*found)
 
 
 @pytest.mark.parametrize(
@@ -199,22 +183,6 @@ def test_dates_as_values_are_refused_in_series_too(unit):
             tree().fit(np.zeros((3, 1)), y)
 
 
-def test_columns_that_only_the_estimator_reads_are_left_out_of_a_diagnosis():
-    X, y = frame()
-    numbers = X[["age"]].fillna(50)
-    model = make_pipeline(FunctionTransformer(lambda X: np.stack(X["e"].to_numpy())), tree().estimator)
-    listed = pd.DataFrame({"e": list(numbers.to_numpy())})
-    reg = ConformalRegressor(model, n_bins=8, random_state=0)
-    found, plain = (str(reg.fit(its, y).diagnose(its, y)) for reg, its in ((reg, listed), (tree(), numbers)))
-    assert ("worst slab" in plain, "worst slab" in found) == (True, False)
-    assert "size" in found
-
-
-def test_an_infinite_number_is_told_by_column_and_row():
-    with pytest.raises(ConformodalError, match="column age must be finite or missing, got inf in row 1"):
-        as_column(pd.Series([0.0, np.inf]), "age")
-
-
 def test_a_frame_with_text_and_gaps_needs_no_preparation_and_keeps_its_names():
     X, y = frame(120)
     reg = ConformalRegressor(random_state=0).fit(X[:90], y[:90])
@@ -297,43 +265,6 @@ def test_groups_are_covered_each():
     assert (tight.masks[0] <= regions.masks[0]).all()
 
 
-def test_two_targets_in_groups_are_covered_together():
-    X, y = frame(900)
-    numbers, labels = X[["age"]].to_numpy(), np.where(X.hospital == "A", "A", "other")
-    both = np.column_stack([y, -(y**2)])
-    reg = tree(joint="max").fit(numbers[:600], both[:600], groups=labels[:600])
-    told = reg.diagnose(numbers[600:], both[600:], groups=labels[600:])
-    assert [column.name for column in told.columns] == ["all targets"]
-    assert told.columns[0].coverage.inside
-
-
-@pytest.mark.parametrize(
-    ("call", "says"),
-    [
-        (lambda X, y: tree().fit(X, y).predict_region(X, groups=np.zeros(N)), "must be None"),
-        (lambda X, y: tree().fit(X, y, groups=np.zeros(N)).predict_region(X), "are needed"),
-        (lambda X, y: tree().fit(X, y, groups=np.zeros(N)).conformalize(X, y), "are needed"),
-        (lambda X, y: tree().fit(X, y, groups=np.zeros(3)), "one label per sample"),
-        (
-            lambda X, y: tree().fit(X, y, groups=np.arange(N)),
-            "240 of .* calibrate, 1 or more of each of 240 groups: at",
-        ),
-        (lambda X, y: tree().fit(X, y.to_frame()[[]]), "y must have shape"),
-        (lambda X, y: tree().fit(X, y).predict(X, groups=np.zeros(N)), "groups must be None unless region"),
-    ],
-)
-def test_groups_that_do_not_fit_are_refused(call, says):
-    X, y = frame()
-    with pytest.raises(ConformodalError, match=says):
-        call(X[["age"]].fillna(50), y)
-
-
-def test_every_group_is_split_by_itself():
-    X, y = frame()
-    reg = tree().fit(X[["age"]], y, groups=np.repeat([0, 1], [190, 50]))
-    assert reg.calibrator_.sizes_ == {0: 38, 1: 10}
-
-
 @pytest.mark.filterwarnings("ignore:regions are unbounded")
 def test_few_rows_are_rarely_unbounded_and_never_without_a_warning():
     unbounded = 0
@@ -347,9 +278,3 @@ def test_few_rows_are_rarely_unbounded_and_never_without_a_warning():
         tree().fit(X[:20], y[:20])
     with pytest.warns(UserWarning, match="regions are unbounded: 1 calibration sample is too few"):
         tree().fit(X[:5], y[:5])
-
-
-def test_tail_bins_lie_beyond_the_others():
-    plain, tailed = QuantileBins(4, margin=0.1).fit([0.0, 1, 2, 10]), QuantileBins(4, 0.1, tail=1).fit([0.0, 1, 2, 10])
-    np.testing.assert_array_equal(tailed.edges_[0][1:-1], plain.edges_[0])
-    assert tailed.edges_[0][[0, -1]].tolist() == [-13.0, 23.0]

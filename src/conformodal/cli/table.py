@@ -71,7 +71,7 @@ def table(
         report_line(note)
     test, train = np.split(np.random.default_rng(seed).permutation(len(X)), [len(X) // 5])
     joint: Any = "max" if len(target) > 1 else "none"
-    reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, verbose=True)
+    reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed)
     groups = {part: X[by].iloc[rows] if by else None for part, rows in (("train", train), ("test", test))}
     with warning_lines(UserWarning, lambda text: report_line(f"note: {text}")):
         reg.fit(X.iloc[train], y.iloc[train], groups=groups["train"])

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from .intervals import MaxIntervals
     from .predictive import PredictiveDensity
     from .regressor import ConformalRegressor
-    from .scorers import RegionScorer, log_density, region_scorers
+    from .scorers import log_density, region_scorers
     from .uncalibrated import NotCalibratedError
 
 __getattr__ = lazy_getattr(  # a camera needs none of these, and scikit-learn takes half a second to import
@@ -52,7 +52,6 @@ __getattr__ = lazy_getattr(  # a camera needs none of these, and scikit-learn ta
         "OnlineConformal": ".calibrators.online",
         "PredictiveDensity": ".predictive",
         "QuickDensity": ".density.quick",
-        "RegionScorer": ".scorers",
         "StackedDensity": ".density.stack",
         "WeightedConformal": ".calibrators.weighted",
         "diagnose": ".diagnostics.diagnosis",
@@ -66,7 +65,7 @@ __all__ = [
     "Aci", "Aps", "ConditionalConformal", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
     "CrossConformal", "Density", "Diagnosis", "DriftMonitor", "Lac", "MaxIntervals", "MondrianConformal",
     "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
-    "RegionScorer", "Regions", "Score", "SlowFitWarning", "SplitConformal", "StackedDensity", "WeightedConformal",
+    "Regions", "Score", "SlowFitWarning", "SplitConformal", "StackedDensity", "WeightedConformal",
     "WholeRangeWarning", "check_coverage", "conformal_quantile", "conformal_rank", "coverage_band", "diagnose",
     "grouped_coverage_band", "hierarchical_maximum_quantile", "hierarchical_quantile", "log_density", "region_scorers",
     "register_score", "weighted_quantile",

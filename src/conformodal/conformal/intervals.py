@@ -41,7 +41,7 @@ class MaxIntervals(Aps):
     """
 
     def __init__(self, k: int, alpha: Alpha = 0.1) -> None:
-        super().__init__("density", randomized=False, own_share=0.5)
+        super().__init__("density", share=0.5)
         self.k, self.alpha = as_count(k, "max_intervals", 1), alpha
         self._mass = 1 - float(as_alpha(alpha))
         self.name = "max_intervals"

@@ -49,13 +49,12 @@ class PredictiveDensity:
         """Density at one value per sample and target, `y` (n, d) or (n,); 0 outside the bins. (n, d)."""
         codes = self.bins.encode(self._values(y))
         rows = np.arange(len(self))
-        found = [p[rows, c] / w[c] * (c >= 0) for p, c, w in zip(self.proba, codes.T, self.bins.widths, strict=True)]
-        return np.stack(found, axis=1)
+        parts = zip(self.proba, codes.T, self.bins.widths, strict=True)
+        return np.stack([p[rows, code] / widths[code] * (code >= 0) for p, code, widths in parts], axis=1)
 
     def cdf(self, y: npt.ArrayLike) -> FloatArray:
         """Probability of values up to `y`, (n, d) or (n,), as (n, d)."""
-        found = [self._reached(j, column) for j, column in enumerate(self._values(y).T)]
-        return np.stack(found, axis=1)
+        return np.stack([self._reached(j, column) for j, column in enumerate(self._values(y).T)], axis=1)
 
     def quantile(self, q: float) -> FloatArray:
         """The value that is not exceeded with probability `q`, (n, d)."""
@@ -82,11 +81,11 @@ class PredictiveDensity:
         """Probability of every interval of ``regions.intervals(i)``: d arrays (m,)."""
         if len(regions) != len(self) or regions.bins.n_targets != self.bins.n_targets:
             raise ConformodalError(f"regions must be of the same {len(self)} samples and targets, got {regions!r}")
-        found = []
+        probabilities = []
         for j, ends in enumerate(regions.intervals(i)):
             reached = [self._reached(j, np.full(len(self), end))[i] for end in ends.ravel()]
-            found.append(np.diff(np.reshape(reached, (-1, 2)), axis=1)[:, 0])
-        return found
+            probabilities.append(np.diff(np.reshape(reached, (-1, 2)), axis=1)[:, 0])
+        return probabilities
 
     def _values(self, y: npt.ArrayLike) -> FloatArray:
         column_names(y, "y", self.bins.names)
@@ -103,10 +102,10 @@ class PredictiveDensity:
 
     def _at(self, levels: FloatArray) -> FloatArray:
         """Quantiles at a level for every sample and target, (n, d)."""
-        found, rows = np.empty_like(levels), np.arange(len(levels))
+        quantiles, rows = np.empty_like(levels), np.arange(len(levels))
         for j, (level, edges) in enumerate(zip(levels.T, self.bins.edges_, strict=True)):
             code = np.minimum((self._below[j][:, 1:] < level[:, None]).sum(axis=1), edges.size - 2)
-            own = self.proba[j][rows, code]
-            share = np.divide(level - self._below[j][rows, code], own, out=np.zeros(len(rows)), where=own > 0)
-            found[:, j] = edges[code] + np.clip(share, 0, 1) * np.diff(edges)[code]
-        return found
+            mass = self.proba[j][rows, code]
+            share = np.divide(level - self._below[j][rows, code], mass, out=np.zeros(len(rows)), where=mass > 0)
+            quantiles[:, j] = edges[code] + np.clip(share, 0, 1) * np.diff(edges)[code]
+        return quantiles

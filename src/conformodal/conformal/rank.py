@@ -22,18 +22,8 @@ from .errors import ConformodalError
 def conformal_rank(n: int, alpha: Alpha) -> int:
     """Rank of the calibration score that is the threshold: ``ceil((n + 1) (1 - alpha))``, in rational arithmetic.
 
-    Parameters
-    ----------
-    n
-        Number of calibration scores, at least 0.
-    alpha
-        Miscoverage rate in (0, 1), read as the decimal it is written as.
-
-    Returns
-    -------
-    int
-        k between 1 and n + 1. ``k == n + 1`` means that no finite threshold gives the coverage: the region is
-        unbounded.
+    `alpha` is read as the decimal it is written as. A rank of n + 1 means that no finite threshold gives the coverage:
+    the region is unbounded.
 
     Examples
     --------
@@ -49,21 +39,8 @@ def conformal_rank(n: int, alpha: Alpha) -> int:
 def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> RealArray:
     """k-th smallest score along `axis`, with k from :func:`conformal_rank`; ``+inf`` where k exceeds n.
 
-    No interpolation: the result is one of the scores, in their own floating type.
-
-    Parameters
-    ----------
-    scores
-        Nonconformity scores. ``+inf`` is allowed and counts as the worst score.
-    alpha
-        Miscoverage rate in (0, 1).
-    axis
-        The axis over calibration samples.
-
-    Returns
-    -------
-    ndarray
-        `scores` without `axis`; 0-d for a vector.
+    No interpolation: the result is one of the scores, in their own floating type, with the shape of `scores` without
+    `axis`. A score of ``+inf`` counts as the worst.
 
     Examples
     --------
@@ -95,16 +72,11 @@ def hierarchical_quantile(units: Sequence[npt.ArrayLike], alpha: Alpha, sizes: S
     units
         K vectors of nonconformity scores, none empty; ``+inf`` is allowed.
     alpha
-        Miscoverage rate in (0, 1).
+        Miscoverage rate; the threshold is ``+inf`` if the members weigh less than ``1 / alpha - 1`` whole units.
     sizes
         (K,) sizes of the whole units if only members of one category are given: each member keeps its weight in the
         whole unit, and a member of a new unit is of the category and beyond the threshold with probability at most
         `alpha` times the weight of the category. By default all members are given.
-
-    Returns
-    -------
-    float
-        One of the scores, or ``+inf`` if the members weigh less than ``1 / alpha - 1`` whole units.
 
     Examples
     --------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
 from .bins import QuantileBins
-from .checks import as_count, as_doubles, as_flags, as_targets, brief, column_names
+from .checks import as_count, as_flags, as_targets, brief, column_names
 from .errors import ConformodalError
 
 
@@ -91,34 +91,6 @@ class Regions:
         low, high = self.bins.limits.T
         inside = np.stack(held, axis=1) | (self.unbounded & (low <= values) & (values <= high))
         return np.asarray(inside.all(axis=1)) if joint else inside
-
-    def mapped(self, function: Callable[[FloatArray], npt.ArrayLike]) -> Regions:
-        """Regions of the targets after strictly monotone functions of each; `function` takes and returns (m, d).
-
-        An unbounded set becomes the whole real line. `function` must be finite at all edges of the bins. Regions of a
-        ``TransformedTargetRegressor`` `t` are
-        ``t.regressor_.predict_region(X).mapped(t.transformer_.inverse_transform)``.
-        """
-        edges, most = self.bins.edges_, max(self.bins.sizes)
-        given = np.column_stack([np.pad(e, (0, most + 1 - e.size), mode="edge") for e in edges])
-        with np.errstate(all="ignore"):  # checked below
-            ends = as_doubles(function(given), "values of function")
-        ends = ends[:, None] if ends.ndim == 1 else ends
-        if ends.shape != given.shape:
-            raise ConformodalError(f"function must return values of shape {given.shape}, got {ends.shape}")
-        if not np.isfinite(ends).all():
-            row, j = np.argwhere(~np.isfinite(ends))[0]
-            found = f"got {ends[row, j]:g} at {given[row, j]:g}, target {j}: bound them by y_min= and y_max="
-            raise ConformodalError(f"function must be finite at all edges of the bins, {found}")
-        steps = [slice(None, None, 1 if end[0] < end[-1] else -1) for end in ends.T]
-        for j, (end, e, step) in enumerate(zip(ends.T, edges, steps, strict=True)):
-            for at in np.flatnonzero(np.diff(end[: e.size]) * step.step <= 0)[:1]:
-                found = f"{end[at]:g}, {end[at + 1]:g} at {e[at]:g}, {e[at + 1]:g}, target {j}"
-                hint = "bound them by y_min= and y_max="
-                raise ConformodalError(f"function must be strictly monotone, found {found}: {hint}")
-        bins = QuantileBins.from_edges([end[: e.size][s] for end, e, s in zip(ends.T, edges, steps, strict=True)])
-        bins.names = self.bins.names
-        return Regions(bins, [mask[:, s] for mask, s in zip(self.masks, steps, strict=True)], self.unbounded)
 
     def runs(self, i: int) -> list[IntArray]:
         """Runs of adjacent chosen bins of sample `i`: d arrays (m, 2) of first bin and one past the last."""

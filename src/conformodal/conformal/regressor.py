@@ -39,7 +39,7 @@ from .checks import (
     shortened,
 )
 from .density.encoder import dense_inputs, is_frame, named_targets, rows_of
-from .density.fitting import announce, as_learner, fit_target, on_stderr, split_off
+from .density.fitting import as_learner, fit_target, split_off, warn_if_slow
 from .density.mixture import as_sample_weight
 from .density.smoothing import proba_of_bins
 from .diagnostics.diagnosis import Diagnosis, diagnose
@@ -87,9 +87,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         Share of the samples that ``fit`` holds out for calibration, in [0, 1). With 0, call :meth:`conformalize` next.
     random_state
         Seed of the split and of a fresh estimator, or None.
-    verbose
-        Whether a fit of more than ten seconds prints its progress on standard error; it warns with
-        :class:`SlowFitWarning` in any case.
     y_min, y_max
         Bounds that no value can pass, such as 0 for a weight: no set reaches beyond them, an unbounded one neither. A
         number for all targets, or one per target.
@@ -129,7 +126,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         joint: Joint = "none",
         calibration_size: float = 0.2,
         random_state: Any = None,
-        verbose: bool = False,
         y_min: npt.ArrayLike = -np.inf,
         y_max: npt.ArrayLike = np.inf,
         max_intervals: int | None = None,
@@ -141,7 +137,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.joint = joint
         self.calibration_size = calibration_size
         self.random_state = random_state
-        self.verbose = verbose
         self.y_min = y_min
         self.y_max = y_max
         self.max_intervals = max_intervals
@@ -178,31 +173,30 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             labels, weight = None if labels is None else labels[weight > 0], weight[weight > 0]
         size = as_number(self.calibration_size, "calibration_size", "a share in [0, 1)", lambda share: 0 <= share < 1)
         random = as_random(self.random_state)
-        held, seen = split_off(len(values), size, random, None if labels is None else factorise(labels)[1])
+        held_out, training = split_off(len(values), size, random, None if labels is None else factorise(labels)[1])
         base, dense = as_learner(self.estimator, random.randint(2**31 - 1))
         n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
-        tail = _TAIL if 0 < held.size < _FEW_TO_CALIBRATE else 0.0
+        tail = _TAIL if 0 < held_out.size < _FEW_TO_CALIBRATE else 0.0
         bins = QuantileBins(n_bins, margin=_MARGIN, tail=tail, y_min=self.y_min, y_max=self.y_max)
-        self.bins_ = bins.fit(values[seen])
+        self.bins_ = bins.fit(values[training])
         self.bins_.check_limits(values)
         self.bins_.names = names
         self.calibrator_: Any = self._calibrator(labels is not None)
-        unseen, learnt = self.joint == "max", rows_of(features, seen)
-        slow = announce(base, seen.size, features.shape[1], values.shape[1], 2 if dense and unseen else 1)
+        unseen, learnt = self.joint == "max", rows_of(features, training)
+        fits = values.shape[1] * (2 if dense and unseen else 1)
+        warn_if_slow(base, training.size, features.shape[1], fits)
         self.estimators_, out_of_fold = [], []
         for j, edges in enumerate(self.bins_.edges_):
-            progress = on_stderr(j, values.shape[1]) if slow and self.verbose else None
-            share = None if weight is None else weight[seen]
-            model, proba = fit_target(base, dense, learnt, values[seen, j], edges, share, unseen, progress)
+            share = None if weight is None else weight[training]
+            model, proba = fit_target(base, dense, learnt, values[training, j], edges, share, unseen)
             self.estimators_.append(model)
             out_of_fold.append(proba)
         if unseen:
-            scored = [proba for proba in out_of_fold if proba is not None] or self._proba(
-                learnt
-            )  # too few to leave out
-            self.calibrator_.fit_scale(scored, values[seen[: len(scored[0])]])
-        if held.size:
-            self._calibrate(rows_of(features, held), values[held], None if labels is None else labels[held])
+            scored = [proba for proba in out_of_fold if proba is not None]
+            scored = scored or self._proba(learnt)  # too few rows to leave any out
+            self.calibrator_.fit_scale(scored, values[training[: len(scored[0])]])
+        if held_out.size:
+            self._calibrate(rows_of(features, held_out), values[held_out], None if labels is None else labels[held_out])
         return self
 
     def conformalize(self, X_cal: Any, y_cal: Any, groups: npt.ArrayLike | None = None) -> Self:

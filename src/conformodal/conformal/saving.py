@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 import zipfile
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -42,14 +43,11 @@ _TRUSTED = (*(f"conformodal.conformal.{name}" for name in _PACKAGE_TYPES), *_FOR
 def check_replaceable(path: str | Path) -> None:
     """Refuse a folder, and a file with anything but a saved regressor in it."""
     path = Path(path)
-    try:
-        with zipfile.ZipFile(path) as archive:
-            free = _KIND.encode() in archive.read("schema.json")
-    except FileNotFoundError:
-        free = True
-    except Exception:  # whatever another file leads to
-        free = path.is_file() and path.stat().st_size == 0
-    if not free:
+    replaceable = not path.exists() or (path.is_file() and path.stat().st_size == 0)
+    if zipfile.is_zipfile(path):
+        with suppress(Exception), zipfile.ZipFile(path) as archive:  # whatever another file leads to
+            replaceable = _KIND.encode() in archive.read("schema.json")
+    if not replaceable:
         raise ConformodalError(f"{path}: exists and is not a saved regressor, not replaced; name another file")
 
 
@@ -89,9 +87,9 @@ def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:
         )
     try:
         record = skops.io.loads(content, trusted=[*_TRUSTED, *trusted])
-        found, version = record["regressor"], record["scikit-learn"]
+        regressor, version = record["regressor"], record["scikit-learn"]
         if record["format"] != _FORMAT:
-            raise ValueError(f"found {brief(record['format'])}, fit and save it again")
+            raise ValueError(f"got {brief(record['format'])}, fit and save it again")
     except Exception as exc:  # whatever a damaged file leads to
         raise ConformodalError(f"{path}: is no complete {_FORMAT}: {type(exc).__name__}: {reason(exc)}") from exc
     if version != sklearn.__version__:
@@ -99,4 +97,4 @@ def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:
             f"{path}: saved with scikit-learn {version}, loaded with {sklearn.__version__}: check its predictions",
             stacklevel=3,
         )
-    return found
+    return regressor

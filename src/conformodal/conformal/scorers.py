@@ -2,72 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self, get_args
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.utils.metadata_routing import MetadataRequest
 
 from conformodal.core.arrays import FloatArray
 
-from .checks import Alpha, as_alpha, as_choice, as_targets, brief, column_names, reason
+from .checks import Alpha, as_alpha, as_targets, brief, column_names
 from .density.mixture import as_sample_weight
 from .errors import ConformodalTypeError
 from .regions import Regions
 
 ScorerName = Literal["coverage", "neg_length", "neg_interval_score"]
+Scorer: TypeAlias = Callable[[Any, Any, Any], float]
 # of the density of a uniform distribution, which a logarithm is taken of at least
 _LEAST_SHARE = 1e-6
-
-
-class RegionScorer:
-    """One scorer of :func:`region_scorers`, called by scikit-learn; a mean over samples and targets."""
-
-    def __init__(self, name: ScorerName, alpha: Alpha = 0.1) -> None:
-        as_choice(name, ScorerName, "name")
-        as_alpha(alpha)
-        self.name: ScorerName = name
-        self.alpha = alpha
-        self._request = MetadataRequest(owner=self)
-
-    def __repr__(self) -> str:
-        return f"RegionScorer({self.name!r}, alpha={self.alpha!r})"
-
-    def __call__(
-        self,
-        estimator: Any,
-        X: Any,
-        y: npt.ArrayLike,
-        sample_weight: npt.ArrayLike | None = None,
-        groups: npt.ArrayLike | None = None,
-    ) -> float:
-        """Score a fitted regressor, or a pipeline that ends with one, on samples."""
-        options = {} if groups is None else {"groups": groups}
-        try:
-            regions = estimator.predict(X, region=True, alpha=self.alpha, **options)
-        except (TypeError, AttributeError) as exc:  # of a regressor without regions, or around one with them
-            end = getattr(estimator, "steps", [("", estimator)])[-1][1]
-            if hasattr(end, "predict_region") or isinstance(exc, ValueError):  # of a step before, or of one not fitted
-                raise
-            wanted = "a ConformalRegressor or a pipeline that ends with one"
-            raise ConformodalTypeError(f"estimator must be {wanted}, got {brief(estimator)}: {reason(exc)}") from exc
-        column_names(y, "y", regions.bins.names)
-        values = as_targets(y)
-        if self.name == "coverage":
-            score = regions.contains(values).astype(np.float64)
-        else:
-            score = -regions.length if self.name == "neg_length" else -interval_score(regions, values, self.alpha)
-        return _average(score.mean(axis=1), sample_weight)
-
-    def set_score_request(self, **names: bool | str | None) -> Self:
-        """Ask for ``sample_weight`` or ``groups`` if metadata routing is on, as in scikit-learn."""
-        for name, alias in names.items():
-            self._request.score.add_request(param=name, alias=alias)
-        return self
-
-    def get_metadata_routing(self) -> MetadataRequest:
-        """What the scorer asks for."""
-        return self._request
 
 
 def log_density(estimator: Any, X: Any, y: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None) -> float:
@@ -92,27 +44,21 @@ def log_density(estimator: Any, X: Any, y: npt.ArrayLike, sample_weight: npt.Arr
         X, regressor = estimator[:-1].transform(X), estimator[-1]
     density = regressor.predict_density(X)
     least = [_LEAST_SHARE / np.ptp(edges) for edges in density.bins.edges_]
-    return _average(np.log(np.maximum(density.pdf(y), least)).sum(axis=1), sample_weight)
+    scores = np.log(np.maximum(density.pdf(y), least)).sum(axis=1)
+    weights = None if sample_weight is None else as_sample_weight(sample_weight, len(scores))
+    return float(np.average(scores, weights=weights))
 
 
-def _average(scores: FloatArray, sample_weight: npt.ArrayLike | None) -> float:
-    """The weighted mean of the scores (n,) of samples."""
-    return float(
-        np.average(scores, weights=None if sample_weight is None else as_sample_weight(sample_weight, len(scores)))
-    )
-
-
-def region_scorers(alpha: Alpha = 0.1) -> dict[str, RegionScorer]:
+def region_scorers(alpha: Alpha = 0.1) -> dict[str, Scorer]:
     """Scorers of the regions at `alpha` by name, whatever the estimator's own rate; the larger, the better.
+
+    Each is a mean over samples and targets. ``GridSearchCV`` needs ``refit="neg_length"``, say; its
+    ``best_estimator_.predict_region`` gives the regions.
 
     - ``"coverage"``: share of values in their sets; not to be maximised.
     - ``"neg_length"``: minus the mean length.
     - ``"neg_interval_score"``: minus the length and, for a value outside its set, ``2 / alpha`` times its distance to
       the set (Gneiting and Raftery 2007, for one interval). From an empty set it is as far as the bins reach.
-
-    ``GridSearchCV`` needs ``refit="neg_length"``, say; its ``best_estimator_.predict_region`` gives the regions. Groups
-    given by ``params={"groups": g}`` reach a scorer with scikit-learn's ``enable_metadata_routing`` on, after
-    ``set_score_request(groups=True)`` of each scorer and ``set_fit_request(groups=True)`` of the regressor.
 
     Examples
     --------
@@ -126,7 +72,22 @@ def region_scorers(alpha: Alpha = 0.1) -> dict[str, RegionScorer]:
     >>> bool(scores["test_coverage"].mean() > 0.7)
     True
     """
-    return {name: RegionScorer(name, alpha) for name in get_args(ScorerName)}
+    as_alpha(alpha)
+    return {name: partial(_score_regions, name=name, alpha=alpha) for name in get_args(ScorerName)}
+
+
+def _score_regions(estimator: Any, X: Any, y: npt.ArrayLike, name: ScorerName, alpha: Alpha) -> float:
+    """Score a fitted regressor, or a pipeline that ends with one, on samples."""
+    end = estimator[-1] if hasattr(estimator, "steps") else estimator
+    if not hasattr(end, "predict_region"):
+        wanted = "a ConformalRegressor or a pipeline that ends with one"
+        raise ConformodalTypeError(f"estimator must be {wanted}, got {brief(estimator)}")
+    regions = estimator.predict(X, region=True, alpha=alpha)
+    column_names(y, "y", regions.bins.names)
+    values = as_targets(y)
+    if name == "coverage":
+        return float(regions.contains(values).mean())
+    return -float((regions.length if name == "neg_length" else interval_score(regions, values, alpha)).mean())
 
 
 def interval_score(regions: Regions, y: FloatArray, alpha: Alpha) -> FloatArray:

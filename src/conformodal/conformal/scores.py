@@ -8,7 +8,7 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray, RealArray
 
-from .checks import as_choice, as_count, as_number, brief
+from .checks import as_choice, as_number, brief
 from .errors import ConformodalError
 
 
@@ -84,7 +84,7 @@ _LEAST_WIDTH = {4: 2 / float(np.finfo(np.float32).max), 8: 2 / float(np.finfo(np
 
 
 Order = Literal["probability", "density"]
-_NAMES = {  # of the share of the bin's own probability that counts, randomised or not; the usual ones need no suffix
+_NAMES = {  # of the share of the bin's own probability that counts, None if random; the usual ones need no suffix
     ("probability", None): "aps",
     ("probability", 0.5): "aps_mid",
     ("probability", 1.0): "aps_full",
@@ -95,10 +95,7 @@ _NAMES = {  # of the share of the bin's own probability that counts, randomised 
 
 
 class Aps:
-    """Adaptive prediction sets: the probability of all more probable bins, and a random share of the bin's own.
-
-    The random number of a row is a hash of its probabilities and the seed, so that the score is a fixed function of the
-    sample, as the coverage guarantee needs.
+    """Adaptive prediction sets: the probability of all more probable bins, and a share of the bin's own.
 
     Source: Romano, Sesia and Candes (2020). Ordered by density instead, these are the highest-density sets of
     Izbicki, Shimizu and Stern (2022): ``"hpd"`` is their mid-p version, in which half of the bin's own probability
@@ -108,47 +105,35 @@ class Aps:
     ----------
     order
         Bins are ranked by ``"probability"`` or ``"density"``.
-    randomized
-        False counts a fixed share of the bin's own probability, which makes sets robust to rounding.
-    seed
-        Of the hash.
-    own_share
-        The fixed share: with 1, sets are larger and never empty; with 0.5, as large on average as with random shares.
+    share
+        Share of the bin's own probability that counts. None is a random one per row: a hash of its probabilities, so
+        that the score is a fixed function of the sample, as the coverage guarantee needs. A fixed share makes sets
+        robust to rounding: with 1, they are larger and never empty; with 0.5, as large on average as with random ones.
 
     Examples
     --------
     >>> import numpy as np
     >>> from conformodal.conformal import Aps
     >>> proba, widths = np.array([[0.5, 0.3, 0.2]]), np.array([2.0, 1.0, 1.0])
-    >>> Aps(randomized=False).of_bins(proba, widths)
+    >>> Aps(share=1).of_bins(proba, widths)
     array([[0.5, 0.8, 1. ]])
     """
 
     normalised = True  # a share of the row's probability, whatever the target
 
-    def __init__(
-        self,
-        order: Order = "probability",
-        randomized: bool = True,
-        seed: int = 0,
-        own_share: float = 1.0,
-    ) -> None:
+    def __init__(self, order: Order = "probability", share: float | None = None) -> None:
         as_choice(order, Order, "order")
-        own_share = as_number(own_share, "own_share", "above 0 and at most 1", lambda share: 0 < share <= 1)
-        self.order, self.randomized, self.own_share = order, randomized, own_share
-        self.seed = as_count(seed, "seed")
+        if share is not None:
+            share = as_number(share, "share", "above 0 and at most 1", lambda part: 0 < part <= 1)
+        self.order, self.share = order, share
         family = "aps" if order == "probability" else "hpd"
-        self.name = _NAMES.get((order, None if randomized else own_share), f"{family}_fixed")
+        self.name = _NAMES.get((order, share), f"{family}_fixed")
 
     def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
-        """Probability ranked before the bin, plus the row's random share of the bin's own."""
+        """Probability ranked before the bin, plus the share of the bin's own."""
         order = self.order_of(proba, widths)
         ranked = np.take_along_axis(proba, order, axis=1)
-        share = (
-            row_uniforms(proba, self.seed)[:, None].astype(proba.dtype)
-            if self.randomized
-            else proba.dtype.type(self.own_share)
-        )
+        share = row_uniforms(proba)[:, None].astype(proba.dtype) if self.share is None else proba.dtype.type(self.share)
         before = np.cumsum(ranked, axis=1, dtype=proba.dtype) - ranked
         scores = np.empty_like(proba)
         np.put_along_axis(scores, order, np.maximum.accumulate(before + share * ranked, axis=1), axis=1)
@@ -161,10 +146,10 @@ class Aps:
         return np.argsort(-keys, axis=1, kind="stable")
 
 
-def row_uniforms(rows: RealArray, seed: int = 0) -> FloatArray:
-    """One number in [0, 1) per row, a hash of its bits and `seed`: equal rows get equal numbers."""
+def row_uniforms(rows: RealArray) -> FloatArray:
+    """One number in [0, 1) per row, a hash of its bits: equal rows get equal numbers."""
     bits = np.ascontiguousarray(rows, dtype=np.float64).view(np.uint64)
-    odd = np.random.default_rng(seed).integers(0, 2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1
+    odd = np.random.default_rng(0).integers(0, 2**63, size=rows.shape[1], dtype=np.uint64) * 2 + 1
     # the top bits of a float differ least between rows; folding brings them down before the multiplication
     hashed = ((bits ^ (bits >> np.uint64(32))) * odd).sum(axis=1, dtype=np.uint64)
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
@@ -173,8 +158,9 @@ def row_uniforms(rows: RealArray, seed: int = 0) -> FloatArray:
 
 
 BUILT_IN = (Lac, Density, Aps)
-_MIDDLE = Aps("density", randomized=False, own_share=0.5)
-SCORES: dict[str, Score] = {score.name: score for score in (Lac(), Density(), Aps(), Aps("density"), _MIDDLE)}
+SCORES: dict[str, Score] = {
+    score.name: score for score in (Lac(), Density(), Aps(), Aps("density"), Aps("density", 0.5))
+}
 
 
 def register_score(score: Score) -> Score:
@@ -183,7 +169,7 @@ def register_score(score: Score) -> Score:
     Examples
     --------
     >>> from conformodal.conformal import Aps, register_score
-    >>> register_score(Aps(seed=1, randomized=False, own_share=0.9)).name
+    >>> register_score(Aps(share=0.9)).name
     'aps_fixed'
     """
     SCORES[score.name] = resolve_score(score)

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal
+from conformodal.conformal.checks import BinProbabilities
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 from conformodal.geometry import fix_sign
 
@@ -176,7 +177,7 @@ def pose_regions(
 
     `proba` are seven arrays (n, cells), see :meth:`~conformodal.localizer.belief.Beliefs.marginals`.
     """
-    product = rule.regions_at(list(proba), thresholds)
+    product = rule.regions_at(BinProbabilities(proba), thresholds)
     limits = np.broadcast_to(thresholds, product.unbounded.shape)
     limits = limits.min(axis=1) if _in_shares(rule) else np.full(len(product), np.inf)
     return PoseRegions(product.bins, product.masks, product.unbounded, supports, limits, product=rule.joint != "max")
@@ -190,7 +191,7 @@ def pose_scores(
     Where all targets are calibrated together, a cuboid around the pose grows with the level until it contains a
     hypothesis that counts: the largest score of a pose is the level that it takes.
     """
-    scores = rule.score_samples(list(proba), targets)
+    scores = rule.score_samples(BinProbabilities(proba), targets)
     if rule.joint != "max":
         return scores
     columns = [rule.scores_of(p, w) for p, w in zip(proba, rule.bins.widths, strict=True)]

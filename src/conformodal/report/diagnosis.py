@@ -1,10 +1,8 @@
-"""A diagnosis of conformal sets as a picture: coverages beside their bands, and p-values beside the diagonal."""
+"""A diagnosis of conformal sets as a picture: coverages beside their bands."""
 
 from __future__ import annotations
 
 from pathlib import Path
-
-import numpy as np
 
 from conformodal.conformal.diagnostics.diagnosis import ColumnDiagnosis, Diagnosis
 from conformodal.core.extras import require_extra
@@ -19,7 +17,7 @@ _BAND, INSIDE, OUTSIDE = "#56B4E9", "#0072B2", "#D55E00"
 
 
 def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figure:
-    """Draw a diagnosis: one row per guarantee, coverages on the left and p-values on the right.
+    """Draw a diagnosis: the coverages of each guarantee beside their bands.
 
     For an example see ``docs/tutorial.md``.
 
@@ -31,13 +29,10 @@ def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figu
         Where to write it, if anywhere; the suffix says as what (``.svg``, ``.png``, ``.pdf``).
     """
     heights = [1.2 + 0.28 * len(column.rows()) for column in diagnosis.columns]
-    figure = Figure(figsize=(10, sum(heights) + 1.2), layout="constrained")
-    grid = figure.subplots(
-        len(heights), 2, squeeze=False, gridspec_kw={"height_ratios": heights, "width_ratios": (3, 2)}
-    )
-    for (left, right), column in zip(grid, diagnosis.columns, strict=True):
-        draw_column(left, column)
-        _p_values(right, column)
+    figure = Figure(figsize=(8, sum(heights) + 1.2), layout="constrained")
+    axes = figure.subplots(len(heights), squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
+    for axis, column in zip(axes, diagnosis.columns, strict=True):
+        draw_column(axis, column)
     sizes = "; ".join(
         f"{name}: mean length {s.mean:.3g}, {s.intervals:.2f} intervals"
         for name, s in zip(diagnosis.names, diagnosis.sizes, strict=True)
@@ -67,15 +62,3 @@ def draw_column(axis: Axes, column: ColumnDiagnosis) -> None:
     axis.set_xlim(right=1.005)
     axis.set_xlabel(f"coverage; bars are {whole.level:.0%} bands, crosses lie outside")
     axis.set_title(f"coverage of {column.name}", fontsize="medium")
-
-
-def _p_values(axis: Axes, column: ColumnDiagnosis) -> None:
-    if column.uniformity is None:
-        axis.set_axis_off()
-        return
-    p = column.uniformity.p_values
-    axis.step(p, (np.arange(p.size) + 1) / p.size, where="post", color=INSIDE)
-    axis.plot([0, 1], [0, 1], color="black", lw=0.8, ls="--")
-    axis.set_xlabel("p-value")
-    axis.set_ylabel("share of test samples")
-    axis.set_title(f"uniform? chance of as much: {column.uniformity.p_value:.3f}", fontsize="medium")

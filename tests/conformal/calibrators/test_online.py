@@ -17,36 +17,21 @@ def just_above(limit, t, rng):
     return -1.0 if limit == -inf else nextafter(limit, inf)
 
 
-def just_above_or_far_below(limit, t, rng):
-    return -1e9 if limit == inf else just_above(limit, t, rng)
-
-
 def above_or_at(limit, t, rng):
     return just_above(limit, t, rng) if t % 2 else min(max(limit, -1e6), 1e6)
-
-
-def above_by_stretches(limit, t, rng):
-    return just_above(limit, t, rng) if (t // 300) % 2 else -1.0
 
 
 # a score from the threshold, the time and random numbers
 ADVERSARIES = {
     "just above": just_above,
-    "just above, or far below": just_above_or_far_below,
     "above and at": above_or_at,
-    "above by stretches": above_by_stretches,
-    "far above": lambda limit, t, rng: 1e300 if limit < inf else 0.0,
     "twice as far": lambda limit, t, rng: 2 * abs(limit) + 1 if abs(limit) < 1e150 else 0.0,
     "always below": lambda limit, t, rng: min(limit, 1e6) - 1 if limit > -inf else -inf,
     "growing fast": lambda limit, t, rng: 2.0 ** (t / 3),
-    "falling": lambda limit, t, rng: -float(t),
-    "inf and -inf": lambda limit, t, rng: inf if t % 2 else -inf,
     "inf at times": lambda limit, t, rng: inf if t % 700 < 50 else rng.normal(),
     "-inf then inf": lambda limit, t, rng: -inf if t < T / 2 else inf,
     "largest floats": lambda limit, t, rng: 1.7e308 if t % 2 else -1.7e308,
-    "smallest floats": lambda limit, t, rng: 5e-324 * (t % 3),
     "walk": lambda limit, t, rng: float(rng.normal() + 30 * np.sin(t / 50)),
-    "two values": lambda limit, t, rng: float(t % 10 == 0),
     "inf against finite": lambda limit, t, rng: inf if limit < inf else 0.0,
 }
 
@@ -80,17 +65,17 @@ def test_the_empty_set_misses_minus_infinity():
     for _ in range(50):
         tracker.update(-inf)
     assert tracker.alpha_t <= 1 + Fraction(1, 4)
-    pid = ConformalPid(0.5, saturation=0.01, start=0.0)
+    pid = ConformalPid(0.5, saturation=0.01)
     for _ in range(50):
         pid.update(-inf)
     assert abs(pid.error) <= 0.01 * pi / 2 * sqrt(50) + 1
 
 
 @pytest.mark.parametrize("adversary", ADVERSARIES)
-@pytest.mark.parametrize(("alpha", "saturation", "start"), [(0.1, 1.0, None), (0.3, 0.2, 0.0)])
+@pytest.mark.parametrize(("alpha", "saturation"), [(0.1, 1.0), (0.3, 0.2)])
 @pytest.mark.filterwarnings("error")
-def test_pid_keeps_its_bound_at_every_step(adversary, alpha, saturation, start):
-    missed = play(ConformalPid(alpha, saturation=saturation, start=start), ADVERSARIES[adversary])
+def test_pid_keeps_its_bound_at_every_step(adversary, alpha, saturation):
+    missed = play(ConformalPid(alpha, saturation=saturation), ADVERSARIES[adversary])
     for steps, total in enumerate(np.cumsum(missed).tolist(), 1):
         assert abs(total - steps * alpha) <= pi / 2 * saturation * sqrt(steps) + 1 + 1e-9, steps
 
@@ -125,34 +110,11 @@ def test_the_default_is_the_method_with_the_bound():
     assert abs(play(ConformalPid(0.1), just_above, 8000).mean() - 0.1) <= (pi / 2 * sqrt(8000) + 1) / 8000
 
 
-@pytest.mark.parametrize("method", ["aci", "pid"])
-def test_coverage_follows_a_drift(method):
-    rng = np.random.default_rng(1)
-    scores = np.abs(rng.normal(size=6000)) * (1 + 3 * (np.arange(6000) > 3000))
-    bins = QuantileBins.from_edges([[0, 1]])
-    (tracker,) = OnlineConformal(bins, 0.1, method=method).trackers
-    missed = play(tracker, lambda limit, t, rng: float(scores[t]), 6000)
-    assert abs(missed[:3000].mean() - 0.1) < 0.02
-    assert abs(missed[3000:].mean() - 0.1) < 0.02
-
-
 @pytest.mark.parametrize("make", [Aci, ConformalPid])
 def test_a_window_bounds_what_is_kept(make):
     tracker = make(0.1, window=50)
     play(tracker, ADVERSARIES["walk"], 500)
     assert len(tracker.past) == 50
-
-
-def test_alpha_is_not_clipped():
-    tracker = Aci(0.1, 0.5)
-    for s in range(20):
-        tracker.update(s)
-    assert tracker.alpha_t < 0
-    assert tracker.threshold() == np.inf
-    easy = Aci(0.9, 0.5)
-    for s in range(20):
-        easy.update(-s)
-    assert easy.alpha_t > Fraction(9, 10)
 
 
 def test_sets_are_those_of_the_trackers():

@@ -60,25 +60,12 @@ def test_weights_of_zero_leave_rows_out_and_a_common_factor_means_nothing():
     np.testing.assert_array_equal(plain, same)
 
 
-@pytest.mark.slow
-def test_weights_move_the_density():
-    X, y = two_branches(400, 6)
-    upper = QuickDensity(random_state=0).fit_bins(X, y, EDGES, np.where(y > 0, 9.0, 1.0)).predict_proba(X)
-    assert abs(upper[:, EDGES[1:] > 0].sum(axis=1).mean() - 0.9) < 0.04
-
-
 @pytest.mark.parametrize("n", [2, 7])
 def test_few_rows_and_constant_columns(n):
     X, y = np.ones((n, 1)), np.arange(n, dtype=float)
     for values in (y, 0 * y):
         proba = QuickDensity(random_state=0).fit_bins(X, values, EDGES).predict_proba(X)
         np.testing.assert_allclose(proba.sum(axis=1), 1)
-
-
-def test_rows_beyond_the_most_are_drawn_from():
-    X, y = two_branches(300, 7)
-    model = QuickDensity(max_rows=50, random_state=0).fit_bins(X, y, EDGES)
-    assert model.location_.out_of_fold_.shape[0] == 50
 
 
 def grown(weight):

@@ -116,6 +116,8 @@ class Rote:
 def test_scales_of_joint_coverage_come_from_rows_that_were_not_learnt_from(estimator):
     rng = np.random.default_rng(0)
     X, Y = rng.random((500, 1)), rng.random((500, 2))
-    reg = ConformalRegressor(estimator, n_bins=10, conformity_score="lac", joint="max", calibration_size=0, random_state=0)
+    reg = ConformalRegressor(
+        estimator, n_bins=10, conformity_score="lac", joint="max", calibration_size=0, random_state=0
+    )
     # of rows that were learnt from the median score is 0: certainty
     assert (reg.fit(X, Y).calibrator_.loc_ > 0.5).all()

@@ -2,13 +2,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal, diagnose
 from conformodal.conformal.diagnostics.coverage import coverage_by_group, coverage_by_size
 from conformodal.conformal.diagnostics.diagnosis import summarise_sizes
 from conformodal.conformal.diagnostics.slab import lowest_run, worst_slab
-from conformodal.conformal.diagnostics.uniformity import check_uniformity
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=18), st.integers(1, 18))
@@ -25,25 +23,12 @@ def test_a_slab_that_is_missed_is_found_and_checked_on_the_other_half():
     X = rng.uniform(-1, 1, (4000, 3))
     bad = X @ [1, 1, 0] > 0.9
     inside = rng.random(4000) < np.where(bad, 0.5, 0.95)
-    found = worst_slab(inside, X, 2000, 0.1, mass=0.1)
-    assert found.coverage.coverage < 0.65
-    assert not found.coverage.inside
-    fair = worst_slab(rng.random(4000) < 0.9, X, 2000, 0.1, mass=0.1)
-    assert fair.coverage.inside  # though the lowest on the half that chose it lies far below
-    assert worst_slab(inside, np.zeros((4000, 1)), 2000, 0.1).coverage.n_test == 2000  # a constant input has one slab
-
-
-def test_uniformity_has_the_exact_law_of_exchangeable_samples_ties_included():
-    rng = np.random.default_rng(1)
-    for draw in (lambda size: rng.normal(size=size), lambda size: rng.integers(0, 3, size) * 1.0):
-        p = [check_uniformity(draw(30), draw(60), repeats=99, random_state=i).p_value for i in range(200)]
-        # p is uniform on 1/100, ..., 1: counts in ten equal cells are multinomial
-        assert stats.chisquare(np.histogram(p, np.arange(11) / 10 + 1e-9)[0]).pvalue > 0.001
-    shifted = check_uniformity(rng.normal(size=300), rng.normal(0.5, 1, 300))
-    assert shifted.p_value == 0.001
-    # p-values are dependent: a test for independent ones rejects far too often
-    naive = [stats.kstest(check_uniformity(rng.random(30), rng.random(300), 1).p_values, "uniform") for _ in range(100)]
-    assert np.mean([t.pvalue < 0.05 for t in naive]) > 0.2
+    found = worst_slab(inside, X, 2000, 0.1)
+    assert found.coverage < 0.75
+    assert not found.inside
+    fair = worst_slab(rng.random(4000) < 0.9, X, 2000, 0.1)
+    assert fair.inside  # though the lowest on the half that chose it lies far below
+    assert worst_slab(inside, np.zeros((4000, 1)), 2000, 0.1).n_test == 2000  # a constant input has one slab
 
 
 def test_strata():
@@ -83,9 +68,9 @@ def test_a_diagnosis_says_everything_in_one_call(joint):
     expected = [inside.all(axis=1).mean()] if joint == "max" else inside.mean(axis=0)
     assert [c.coverage.coverage for c in found.columns] == pytest.approx(expected)
     assert found.joint_coverage == inside.all(axis=1).mean()
-    assert all(c.coverage.inside and c.uniformity.p_value > 0.01 and len(c.by_group) == 2 for c in found.columns)
+    assert all(column.coverage.inside and len(column.by_group) == 2 for column in found.columns)
     text = str(found)
-    for word in ("alpha = 0.1", "left", "worst slab", "group 1", "p-values uniform", "exchangeable", f"joint {joint}"):
+    for word in ("alpha = 0.1", "left", "worst slab", "group 1", "exchangeable", f"joint {joint}"):
         assert word in text
     assert ("guaranteed on average" in text) == (joint == "bonferroni")  # with max it is the coverage of all targets
     assert "] within" in text.replace("  ", " ")
@@ -95,22 +80,3 @@ def test_a_diagnosis_reports_a_broken_guarantee():
     cal, proba, y, _ = problem("none")
     cal.thresholds_ = cal.thresholds_ - 1.5
     assert "BELOW" in str(diagnose(cal, proba, y))
-
-
-def test_many_samples_are_tested_by_a_random_part():
-    rng = np.random.default_rng(0)
-    known, new = rng.random(20_000), rng.random(6000)
-    found = check_uniformity(known, new, repeats=99)
-    assert (found.n_calibration, found.n_test, found.p_values.size) == (2000, 2000, 6000)
-    assert found.p_value == check_uniformity(known, new, repeats=99).p_value
-    few = check_uniformity(known[:900], new, repeats=99)
-    assert (few.n_calibration, few.n_test) == (900, 2000)
-    assert check_uniformity(np.sort(known), np.sort(new) + 0.1, repeats=99).p_value == 0.01  # drawn, not the first
-
-
-def test_a_share_below_one_percent_is_told_from_none():
-    proba = np.tile([0.9, 0.1], (400, 1))
-    calibrator = SplitConformal(QuantileBins.from_edges([[0, 1, 2]]), 0.1).calibrate(proba, np.full(400, 0.5))
-    assert "<1%" not in str(diagnose(calibrator, proba, np.full(400, 0.5)))
-    proba[-1] = 0.5  # its set is empty
-    assert "<1%" in str(diagnose(calibrator, proba, np.full(400, 0.5)))

@@ -37,10 +37,7 @@ class ConditionalConformal(Calibrator):
 
     Each distinct row of conditions takes a linear programme: some 10 ms for a thousand calibration samples.
 
-    Parameters
-    ----------
-    bins, alpha, score, joint, empty
-        As in :class:`~conformodal.conformal.calibrators.base.Calibrator`.
+    Parameters are those of :class:`~conformodal.conformal.calibrators.base.Calibrator`.
 
     Attributes
     ----------

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.checks import Probabilities, as_number, as_random, as_scores
-from conformodal.conformal.diagnostics.uniformity import check_uniformity
 from conformodal.conformal.errors import ConformodalError
 from conformodal.core.arrays import FloatArray, RealArray
 from conformodal.core.words import counted
@@ -129,17 +128,6 @@ class DriftMonitor:
         if self.since is None:
             return None
         return np.asarray((np.concatenate(self._rows)[self.since :] <= self.calibrator.thresholds_).mean(axis=0))
-
-    def permutation_test(self, repeats: int = 999) -> float:
-        """P-value of the hypothesis that the calibration samples and all rows so far are exchangeable.
-
-        It looks at all rows at once, in any order: for one look, not for one per row. Of several targets it is the
-        smallest p-value times their number.
-        """
-        scores = np.concatenate(self._rows)
-        pairs = zip(*(self.calibrator.columns(s).T for s in (self.calibrator.scores_, scores)), strict=True)
-        p_values = [check_uniformity(old, new, repeats, self._random).p_value for old, new in pairs]
-        return min(1.0, len(p_values) * min(p_values))
 
     def __str__(self) -> str:
         if self.coverage_since is None:

@@ -15,7 +15,6 @@ from conformodal.conformal.checks import (
     Probabilities,
     as_alpha,
     as_choice,
-    as_count,
     as_labels,
     as_probabilities,
     factorise,
@@ -41,11 +40,10 @@ class MondrianConformal(Calibrator):
     ----------
     bins, alpha, score, joint, empty
         As in :class:`~conformodal.conformal.calibrators.base.Calibrator`.
-    min_group
-        Groups with fewer calibration samples fall back; by default those too small for a finite threshold.
     fallback
-        For groups that are too small or new. ``"whole"``: an unbounded set, which keeps the guarantee. ``"pooled"``:
-        the threshold of all calibration samples, with a guarantee on average over all groups only.
+        For groups that are new, or too small for a finite threshold. ``"whole"``: an unbounded set, which keeps the
+        guarantee. ``"pooled"``: the threshold of all calibration samples, with a guarantee on average over all groups
+        only.
 
     Attributes
     ----------
@@ -80,18 +78,15 @@ class MondrianConformal(Calibrator):
         score: str | Score = "lac",
         joint: Joint = "none",
         empty: Empty = "allow",
-        min_group: int = 0,
         fallback: Fallback = "whole",
     ) -> None:
         super().__init__(bins, alpha, score, joint, empty)
-        self.min_group = min_group
         self.fallback = fallback
 
     def check_parameters(self) -> None:
         """Refuse parameters that are not valid; called before scores are taken."""
         super().check_parameters()
         as_choice(self.fallback, Fallback, "fallback")
-        as_count(self.min_group, "min_group")
 
     def __getstate__(self) -> dict[str, Any]:
         # files of skops hold lists of any labels, but as keys of a dict only text and numbers
@@ -133,7 +128,7 @@ class MondrianConformal(Calibrator):
         self._calibrated()
         # only the number counts: a group with many values outside the edges may have an infinite threshold itself
         alpha = self.alpha_per_target
-        return [g for g, n in self.sizes_.items() if n < self.min_group or conformal_rank(n, alpha) > n]
+        return [g for g, n in self.sizes_.items() if conformal_rank(n, alpha) > n]
 
     def predict(self, proba: Probabilities, groups: npt.ArrayLike) -> Regions:
         """Regions of new samples, each by its group's threshold."""

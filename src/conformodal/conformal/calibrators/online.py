@@ -27,6 +27,8 @@ from .base import Calibrator, Empty
 
 # a quarter of the largest float, so that sums of forecast, tracked and integral stay finite
 _MOST = float_info.max / 4
+# strength of the integral of ConformalPid, as a share of the scores' range
+_INTEGRAL_GAIN = 0.1
 
 
 class PastScores:
@@ -133,14 +135,13 @@ class ConformalPid:
 
     The threshold is ``tracked + integral``. `tracked` moves by ``rate * spread * (missed - alpha)`` after
     every score, `spread` being the range of the last `window` scores. The integral is
-    ``integral_gain * spread * tan(E / (saturation sqrt(t)))``, E the sum of ``missed - alpha`` over t scores; where its
+    ``0.1 spread tan(E / (saturation sqrt(t)))``, E the sum of ``missed - alpha`` over t scores; where its
     argument leaves (-pi/2, pi/2) it is infinite, and the set unbounded, or empty (it then misses every score).
 
     For any sequence, the share of misses over T steps differs from alpha by at most
     ``(pi/2 saturation sqrt(T) + 1) / T``. This is the source's theorem 1 with the saturation ``h(t) = sqrt(t)``; as the
     integral saturates at infinity, scores may be unbounded. With the source's ``t / log(t)`` the bound would be useless
-    for millions of steps. Without the integral (``integral_gain=0``) nothing is guaranteed: the source's bound for the
-    quantile tracker alone needs bounded scores and a fixed step.
+    for millions of steps.
 
     Parameters
     ----------
@@ -148,14 +149,10 @@ class ConformalPid:
         Miscoverage rate in (0, 1).
     rate
         Step of the quantile tracker, as a share of the scores' range.
-    integral_gain
-        Strength of the integral, as a share of the scores' range; 0 turns it off, and the bound with it.
     saturation
         The larger, the later the integral saturates and the larger the bound.
     window
         Scores whose range sets the steps; None for all: memory then grows with the stream.
-    start
-        Threshold before the first score; None gives unbounded sets until then.
 
     Examples
     --------
@@ -173,19 +170,15 @@ class ConformalPid:
         self,
         alpha: Alpha = 0.1,
         rate: float = 0.1,
-        integral_gain: float = 0.1,
         saturation: float = 1.0,
         window: int | None = 100,
-        start: float | None = None,
     ) -> None:
         for name, value in (("rate", rate), ("saturation", saturation)):
             as_number(value, name, "above 0, and finite", lambda v: 0 < v < inf)
-        as_number(integral_gain, "integral_gain", "at least 0, and finite", lambda v: 0 <= v < inf)
         self.alpha = as_alpha(alpha)
         self.rate = float(rate)
-        self.integral_gain = float(integral_gain)
         self.saturation = float(saturation)
-        self.tracked = None if start is None else as_number(start, "start", "finite", lambda v: abs(v) <= _MOST)
+        self.tracked: float | None = None  # before the first score sets are unbounded
         self.error = 0 * self.alpha
         self.steps = 0
         self.past = PastScores(window)
@@ -210,12 +203,12 @@ class ConformalPid:
         self.steps += 1
 
     def _integral(self) -> float:
-        if self.integral_gain == 0 or self.steps == 0:
+        if self.steps == 0:
             return 0.0
         angle = float(self.error) / sqrt(self.steps) / self.saturation
         if abs(angle) >= pi / 2:
             return inf if angle > 0 else -inf
-        return _clipped(self.integral_gain * self.past.spread() * tan(angle))
+        return _clipped(_INTEGRAL_GAIN * self.past.spread() * tan(angle))
 
 
 def _clipped(value: float) -> float:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from copy import copy
 from fractions import Fraction
-from itertools import accumulate
-from math import lcm
 from typing import Self
 
 import numpy as np
@@ -15,7 +13,7 @@ from conformodal.conformal.checks import Alpha, Probabilities, as_labels, as_sco
 from conformodal.conformal.errors import ConformodalError
 from conformodal.conformal.rank import conformal_quantile, conformal_rank, hierarchical_quantile
 from conformodal.conformal.regions import Regions
-from conformodal.core.arrays import AnyArray, FloatArray, IntArray, RealArray
+from conformodal.core.arrays import AnyArray, IntArray, RealArray
 
 from .base import Calibrator
 
@@ -30,10 +28,7 @@ class SplitConformal(Calibrator):
     With ``units``, such as parts of a video or whole recordings, only the units need to be exchangeable, and coverage
     is guaranteed for a random sample of a new unit (Dunn, Wasserman and Ramdas 2023; Lee, Barber and Willett 2023).
 
-    Parameters
-    ----------
-    bins, alpha, score, joint, empty
-        As in :class:`~conformodal.conformal.calibrators.base.Calibrator`.
+    Parameters are those of :class:`~conformodal.conformal.calibrators.base.Calibrator`.
 
     Attributes
     ----------
@@ -73,7 +68,12 @@ class SplitConformal(Calibrator):
     @property
     def weights(self) -> list[Fraction]:
         """Weight of each calibration sample in exchangeable units: 1, or one over the size of its unit."""
-        return [Fraction(1, size) for size in self._sizes()[1].tolist()]
+        n = len(self._calibrated())
+        if self.units_ is None:
+            return [Fraction(1)] * n
+        codes = factorise(self.units_)[1]
+        sizes = np.bincount(codes)[codes] if self.unit_sizes_ is None else self.unit_sizes_
+        return [Fraction(1, size) for size in sizes.tolist()]
 
     @property
     def weight(self) -> Fraction:
@@ -83,15 +83,8 @@ class SplitConformal(Calibrator):
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, units: npt.ArrayLike | None = None) -> Self:
         """Score the calibration samples and set the thresholds.
 
-        Parameters
-        ----------
-        proba
-            (n, d, K), or a list of d arrays (n, K_d).
-        y
-            (n, d) true values, or (n,) for one target. Values outside the edges score ``+inf``.
-        units
-            (n,) labels of the samples that were drawn together, as text, numbers or dates; None if samples are
-            exchangeable.
+        `proba` is (n, d, K) or a list of d arrays (n, K_d); `y` are (n, d) true values, or (n,) for one target; `units`
+        are (n,) labels of what samples were drawn together in: text, numbers or dates.
         """
         self.calibrate_scores(self.score_samples(proba, y), units)
         self.warn_of_whole_range(self.thresholds_)
@@ -130,14 +123,6 @@ class SplitConformal(Calibrator):
         sizes = None if unit_sizes is None else [int(unit_sizes[members[0]]) for members in rows]
         return np.array([hierarchical_quantile([column[m] for m in rows], rate, sizes) for column in columns.T])
 
-    def _sizes(self) -> tuple[IntArray, IntArray]:
-        """The unit of each calibration sample, as a number, and the size of the whole unit, (n,) each."""
-        n = len(self._calibrated())
-        if self.units_ is None:
-            return np.arange(n), np.ones(n, dtype=np.int64)
-        codes = factorise(self.units_)[1]
-        return codes, np.bincount(codes)[codes] if self.unit_sizes_ is None else self.unit_sizes_
-
     def predict(self, proba: Probabilities) -> Regions:
         """Regions of new samples: every bin whose score is at most the threshold."""
         self._calibrated()
@@ -150,27 +135,6 @@ class SplitConformal(Calibrator):
         other.calibrate_scores(self._calibrated(), self.units_, self.unit_sizes_)
         other.warn_of_whole_range(other.thresholds_)
         return other
-
-    def p_values(self, proba: Probabilities, y: npt.ArrayLike) -> FloatArray:
-        """Conformal p-values of values `y`, (n, d), or (n, 1) for ``joint="max"``.
-
-        ``(1 + number of calibration scores at least as large) / (n + 1)``; with units, ``(1 + sum over units of the
-        share of such scores) / (K + 1)``. With ``empty="allow"`` a value is in its region exactly if its p-value
-        exceeds alpha.
-        """
-        calibration = self.columns(self._calibrated())
-        new = self.columns(self.score_samples(proba, y))
-        sizes = self._sizes()[1].tolist()
-        whole = lcm(*sizes)  # a unit's weight, so that every member's is a whole number
-        weights = np.array([whole // size for size in sizes], dtype=object)
-        total = int(weights.sum()) + whole
-        p_values = np.empty(new.shape)
-        for j, (scores, column) in enumerate(zip(calibration.T, new.T, strict=True)):
-            order = np.argsort(scores, kind="stable")
-            below = np.array([0, *accumulate(weights[order])], dtype=object)
-            reached = below[np.searchsorted(scores[order], column, side="left")]
-            p_values[:, j] = (total - reached) / total
-        return p_values
 
 
 def _as_sizes(unit_sizes: IntArray, units: AnyArray | None) -> IntArray:

@@ -6,6 +6,7 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from fractions import Fraction
 from itertools import accumulate
+from math import ceil
 from typing import Self
 
 import numpy as np
@@ -34,13 +35,9 @@ def weighted_quantile(
     weights
         (n,) weights of the calibration samples: at least 0, on any common scale.
     new_weights
-        (m,) weights of the new samples, on that scale.
+        (m,) weights of the new samples, on that scale; so many thresholds are returned.
     alpha
-        Miscoverage rate in (0, 1).
-
-    Returns
-    -------
-    (m,) thresholds, ``+inf`` where no score carries enough.
+        Miscoverage rate; thresholds are ``+inf`` where no score carries enough.
 
     Examples
     --------
@@ -57,27 +54,19 @@ def weighted_quantile(
     order = np.argsort(scores, kind="stable")
     ranked = np.append(scores[order], np.inf).astype(scores.dtype)
     distinct, which = np.unique(new, return_inverse=True)
-    ranks = WeightedRanks(sample_weights[order].tolist(), distinct.tolist()).at(alpha)
+    ranks = weighted_ranks(sample_weights[order].tolist(), distinct.tolist(), alpha)
     return np.asarray(ranked[np.array(ranks, dtype=np.int64) - 1][which])
 
 
-class WeightedRanks:
-    """Exact sums of the weights of n ranked scores, and of each new sample's own weight."""
-
-    def __init__(self, weights: Sequence[float], new_weights: Sequence[float]) -> None:
-        # Floats are fractions over powers of two: over their common denominator the sums are whole numbers.
-        exact, new = [Fraction(w) for w in weights], [Fraction(w) for w in new_weights]
-        scale = max((w.denominator for w in (*exact, *new)), default=1)
-        self.reached = list(accumulate(int(w * scale) for w in exact))
-        total = self.reached[-1] if self.reached else 0
-        self.totals = [total + int(w * scale) for w in new]
-
-    def at(self, alpha: Alpha) -> list[int]:
-        """Rank of each new sample's threshold: the first that reaches ``1 - alpha`` of the total, or n + 1."""
-        rate = as_alpha(alpha)
-        up, down = rate.denominator - rate.numerator, rate.denominator
-        n = len(self.reached)
-        return [bisect_left(self.reached, -(-total * up // down)) + 1 if total else n + 1 for total in self.totals]
+def weighted_ranks(weights: Sequence[float], new_weights: Sequence[float], alpha: Alpha) -> list[int]:
+    """Rank of each new sample's threshold among n ranked scores: the first that carries ``1 - alpha``, or n + 1."""
+    # floats are fractions over powers of two: over their common denominator the sums are whole numbers
+    exact, new = [Fraction(w) for w in weights], [Fraction(w) for w in new_weights]
+    scale = max((w.denominator for w in (*exact, *new)), default=1)
+    reached = list(accumulate(int(w * scale) for w in exact))
+    totals = [(reached[-1] if reached else 0) + int(w * scale) for w in new]
+    share = 1 - as_alpha(alpha)
+    return [bisect_left(reached, ceil(total * share)) + 1 if total else len(reached) + 1 for total in totals]
 
 
 def _as_weights(weights: npt.ArrayLike, name: str) -> FloatArray:
@@ -94,10 +83,7 @@ class WeightedConformal(Calibrator):
     If calibration samples are drawn independently from P(x) P(y | x) and the new one from Q(x) P(y | x), coverage is
     guaranteed with weights proportional to dQ/dP at each sample; with estimated ratios it holds approximately.
 
-    Parameters
-    ----------
-    bins, alpha, score, joint, empty
-        As in :class:`~conformodal.conformal.calibrators.base.Calibrator`.
+    Parameters are those of :class:`~conformodal.conformal.calibrators.base.Calibrator`.
 
     Examples
     --------

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import sys
-import time
 import warnings
 from collections.abc import Callable
 from typing import Any, Literal, get_args
@@ -15,7 +13,6 @@ from sklearn.base import clone
 from conformodal.conformal.checks import brief, reason
 from conformodal.conformal.errors import ConformodalError, SlowFitWarning
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.core.progress import Progress
 from conformodal.core.words import counted
 
 from .encoder import rows_of
@@ -76,7 +73,6 @@ def fit_target(
     edges: FloatArray,
     weight: FloatArray | None,
     out_of_fold: bool,
-    progress: Progress | None,
 ) -> tuple[Any, FloatArray | None]:
     """Clones of the learner, fitted on one target, and out-of-fold probabilities of the first rows, or None.
 
@@ -85,15 +81,13 @@ def fit_target(
     none is left out. Rows must be in random order.
     """
 
-    def fitted(rows: Any, progress: Progress | None = None) -> Any:
-        return _fitted(
-            base, dense, rows_of(X, rows), y[rows], edges, None if weight is None else weight[rows], progress
-        )
+    def fitted(rows: Any) -> Any:
+        return _fitted(base, dense, rows_of(X, rows), y[rows], edges, None if weight is None else weight[rows])
 
     n, n_bins, fold = len(y), edges.size - 1, np.arange(len(y)) % _FOLDS
     enough = n >= _FEWEST_TO_LEAVE_OUT
     if dense:
-        model, n_first = fitted(slice(None), progress), n // 2
+        model, n_first = fitted(slice(None)), n // 2
         if not (enough and out_of_fold):
             return model, None
         return model, proba_of_bins(fitted(slice(n_first, None)), rows_of(X, slice(n_first)), n_bins)
@@ -109,15 +103,7 @@ def fit_target(
     return SmoothedClassifier(models, smoothing), smoothing(left_out)
 
 
-def _fitted(
-    base: Any,
-    dense: bool,
-    X: Any,
-    y: FloatArray,
-    edges: FloatArray,
-    weight: FloatArray | None,
-    progress: Progress | None,
-) -> Any:
+def _fitted(base: Any, dense: bool, X: Any, y: FloatArray, edges: FloatArray, weight: FloatArray | None) -> Any:
     model = clone(base)
     try:
         accepted: Any = inspect.signature(model.fit_bins if dense else model.fit).parameters
@@ -126,41 +112,22 @@ def _fitted(
     if weight is not None and "sample_weight" not in accepted:
         method = "fit_bins" if dense else "fit"
         raise ConformodalError(f"sample_weight needs an estimator whose {method} takes it, got {brief(base)}")
-    options: dict[str, Any] = {} if weight is None else {"sample_weight": weight}
     try:
         if not dense:
             return fit_classifier(model, X, y, edges, weight)
-        if progress is not None and "progress" in accepted:
-            options["progress"] = progress
-        return model.fit_bins(X, y, edges, **options)
+        return model.fit_bins(X, y, edges, **({} if weight is None else {"sample_weight": weight}))
     except ConformodalError:
         raise
     except (ValueError, TypeError) as exc:
         raise ConformodalError(f"estimator cannot be fitted: {reason(exc)}") from exc
 
 
-def announce(base: Any, n_rows: int, n_features: int, n_targets: int, fits: int = 1) -> bool:
-    """Warn if `fits` fits will take more than ten seconds; whether they will."""
+def warn_if_slow(base: Any, n_rows: int, n_features: int, fits: int) -> None:
+    """Warn if `fits` fits will take more than ten seconds."""
     expected: Callable[[int, int], float] | None = getattr(base, "expected_seconds", None)
-    seconds = 0.0 if expected is None else fits * n_targets * expected(n_rows, n_features)
-    if seconds <= _SLOW_S:
-        return False
-    spent = f"{seconds:.0f} seconds" if seconds < 100 else f"{seconds / 60:.0f} minutes"
-    hint = '; estimator="quick" takes seconds' if isinstance(base, StackedDensity) else ""
-    warnings.warn(
-        f"fitting {counted(n_rows, 'row')} and {counted(n_targets, 'target')} will take about {spent}{hint}",
-        SlowFitWarning,
-        stacklevel=3,
-    )
-    return True
-
-
-def on_stderr(target: int, n_targets: int) -> Progress:
-    """Print a line on standard error for every finished part of a fit."""
-    start = time.monotonic()
-
-    def show(done: int, total: int) -> None:
-        parts = f"{done} of {total} parts, {time.monotonic() - start:.0f} s"
-        print(f"target {target + 1} of {n_targets}: {parts}", file=sys.stderr, flush=True)
-
-    return show
+    seconds = 0.0 if expected is None else fits * expected(n_rows, n_features)
+    if seconds > _SLOW_S:
+        duration = f"{seconds:.0f} seconds" if seconds < 100 else f"{seconds / 60:.0f} minutes"
+        hint = '; estimator="quick" takes seconds' if isinstance(base, StackedDensity) else ""
+        rows = counted(n_rows, "row")
+        warnings.warn(f"fitting {rows} will take about {duration}{hint}", SlowFitWarning, stacklevel=3)

@@ -19,7 +19,6 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.core.progress import Progress
 
 Maker: TypeAlias = Callable[[], Any]
 Folds: TypeAlias = list[tuple[IntArray, IntArray]]
@@ -55,27 +54,15 @@ class Location:
         weight: FloatArray,
         folds: Folds,
         forest: FloatArray | None = None,
-        progress: Progress | None = None,
     ) -> Self:
         """Fit on features (n, p), values (n,) of about unit spread and weights.
 
-        `members` make untrained regressors. `forest` (n,) are out-of-bag means of a forest, one more member; `progress`
-        is called after every fit of a regressor.
+        `members` make untrained regressors. `forest` (n,) are out-of-bag means of a forest, one more member.
         """
-        out_of_fold, self._models = [], []
-        self._with_forest, done = forest is not None, 0
-
-        def tick() -> None:
-            nonlocal done
-            done += 1
-            if progress is not None:
-                progress(done, (len(folds) + 1) * len(members))
-
-        for member in members:
-            guess, model = fit_out_of_fold(member, X, y, weight, folds, tick)
-            out_of_fold.append(guess)
-            self._models.append(model)
-        self.out_of_fold_ = np.column_stack([*out_of_fold, *([] if forest is None else [forest])])
+        fits = [fit_out_of_fold(member, X, y, weight, folds) for member in members]
+        self._models = [model for _, model in fits]
+        self._with_forest = forest is not None
+        self.out_of_fold_ = np.column_stack([*(guess for guess, _ in fits), *([] if forest is None else [forest])])
         root = np.sqrt(weight)
         raw, _ = nnls(self.out_of_fold_ * root[:, None], y * root)
         self.weights_ = raw / raw.sum() if raw.sum() > 0 else np.full(raw.size, 1 / raw.size)
@@ -159,16 +146,14 @@ def boosting(rate: float, rounds: int, leaves: int, least: int, random_state: in
 
 
 def fit_out_of_fold(
-    make: Maker, X: FloatArray, y: FloatArray, weight: FloatArray, folds: Folds, tick: Callable[[], None] = lambda: None
+    make: Maker, X: FloatArray, y: FloatArray, weight: FloatArray, folds: Folds
 ) -> tuple[FloatArray, Any]:
-    """Out-of-fold predictions (n,), and a model of all rows; `tick` is called after every fit."""
+    """Out-of-fold predictions (n,), and a model of all rows."""
 
     def fitted(rows: Any) -> Any:
         # boosting takes several times as long with weights, equal ones too
         share = {"sample_weight": weight[rows]} if np.ptp(weight) else {}
-        model = make().fit(X[rows], y[rows], **share)
-        tick()
-        return model
+        return make().fit(X[rows], y[rows], **share)
 
     predictions = np.empty(y.size)
     for train, left_out in folds:

@@ -12,7 +12,6 @@ from sklearn.exceptions import ConvergenceWarning
 
 from conformodal.conformal.checks import as_count, as_random
 from conformodal.core.arrays import FloatArray
-from conformodal.core.progress import Progress
 
 from .encoder import TableEncoder
 from .forest import LeafForest, group_values, rank_cosines
@@ -51,13 +50,8 @@ class StackedDensity(MixtureDensity):
         self.random_state = random_state
         self.n_jobs = n_jobs
 
-    def fit_bins(
-        self, X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike, progress: Progress | None = None
-    ) -> Self:
-        """Learn the density of `y` (n,) given `X`, any table (n, p), over bins with `edges` (K + 1,).
-
-        `progress` is called with the parts that are done and all parts, nearly all of which are of the location.
-        """
+    def fit_bins(self, X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike) -> Self:
+        """Learn the density of `y` (n,) given `X`, any table (n, p), over bins with `edges` (K + 1,)."""
         as_count(self.n_trees, "n_trees", 1)
         self.encoder_ = TableEncoder().fit(X)
         table = standardised(self.encoder_.transform(X), y, edges)
@@ -68,7 +62,7 @@ class StackedDensity(MixtureDensity):
             warnings.filterwarnings("ignore", message="Some inputs do not have OOB scores")
             warnings.filterwarnings("ignore", category=RuntimeWarning, message="invalid value encountered")
             members, folds = stacked_members(n, seed, self.n_jobs), folds_of(n, seed, 5)
-            self.location_ = Location().fit(members, features, z, table.weight, folds, progress=progress)
+            self.location_ = Location().fit(members, features, z, table.weight, folds)
             summary = self.location_.summary(self.location_.out_of_fold_)
             extended, residual = np.column_stack((features, summary)), z - summary[:, 0]
             self.spread_ = RandomForestRegressor(

@@ -69,14 +69,8 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
     """Central band of the coverage over the test samples of several groups, each with its own threshold.
 
     Counts of groups are independent, so that their sum has the convolution of Beta-binomial distributions. With one
-    group it is :func:`coverage_band`.
-
-    Parameters
-    ----------
-    groups
-        Calibration samples and test samples of each group. Groups without a finite threshold are always covered.
-    alpha, level
-        As for :func:`coverage_band`.
+    group it is :func:`coverage_band`. `groups` are pairs of numbers of calibration and test samples; groups without
+    a finite threshold are always covered.
 
     Examples
     --------
@@ -108,18 +102,9 @@ def grouped_coverage_band(groups: Sequence[tuple[int, int]], alpha: Alpha, level
 
 
 def check_coverage(inside: npt.ArrayLike, n_calibration: int, alpha: Alpha, level: float = 0.99) -> CoverageCheck:
-    """Compare the coverage of one target's test samples with its exact band.
+    """Compare the coverage of one target's test samples with its exact band, of probability `level`.
 
-    Parameters
-    ----------
-    inside
-        (n_test,) whether each true value is in its set.
-    n_calibration
-        Calibration samples behind the threshold.
-    alpha
-        Miscoverage rate of the calibration.
-    level
-        Probability of the central band.
+    `inside` (n_test,) says whether each true value is in its set; `n_calibration` samples are behind the threshold.
 
     Examples
     --------

@@ -19,11 +19,10 @@ from conformodal.conformal.regions import Regions
 from conformodal.core.words import counted
 
 from .coverage import CoverageCheck, check_coverage, coverage_by_group, coverage_by_size, grouped_coverage_band
-from .slab import SlabCheck, worst_slab
-from .uniformity import UniformityCheck, check_uniformity
+from .slab import worst_slab
 
 _ASSUMPTION = (
-    "The band of all samples and the p-values hold if the calibration and test samples are exchangeable (split at "
+    "The band of all samples holds if the calibration and test samples are exchangeable (split at "
     "random, say), neither was learnt from, and scores have no ties. Even then coverage lies outside its {level} band "
     "with probability up to {chance}{of_any}. Outside, at least one of these assumptions is likely violated. Nothing "
     "is guaranteed for a size, a group or a slab by itself: outside its band, sets are too small (BELOW) or too large "
@@ -54,16 +53,17 @@ def summarise_sizes(regions: Regions) -> list[SizeSummary]:
     """One summary per target."""
     if len(regions) == 0:
         raise ConformodalError("regions must hold at least one sample to be summarised")
-    counts = regions.n_intervals
-    found = []
-    for length, count, whole in zip(regions.length.T, counts.T, regions.unbounded.T, strict=True):
-        ranked = np.sort(length)
-        at = [int(np.ceil(q * length.size)) - 1 for q in (0.5, 0.9)]
-        shares = (float((count > 1).mean()), float((count == 0).mean()), float(whole.mean()))
-        found.append(
-            SizeSummary(float(length.mean()), float(ranked[at[0]]), float(ranked[at[1]]), float(count.mean()), *shares)
-        )
-    return found
+    at = [int(np.ceil(q * len(regions))) - 1 for q in (0.5, 0.9)]
+    counts, lengths = regions.n_intervals, regions.length
+    columns = (
+        lengths.mean(axis=0),
+        *np.sort(lengths, axis=0)[at],
+        counts.mean(axis=0),
+        (counts > 1).mean(axis=0),
+        (counts == 0).mean(axis=0),
+        regions.unbounded.mean(axis=0),
+    )
+    return [SizeSummary(*map(float, values)) for values in zip(*columns, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -74,17 +74,16 @@ class ColumnDiagnosis:
     coverage: CoverageCheck  # of all test samples
     by_size: dict[str, CoverageCheck]
     by_group: dict[str, CoverageCheck]  # empty without groups
-    slab: SlabCheck | None  # None without inputs
-    uniformity: UniformityCheck | None  # None if every group has its own threshold
+    slab: CoverageCheck | None  # of the worst slab of the inputs, on other samples; None without inputs
 
     def rows(self) -> list[tuple[str, CoverageCheck]]:
         """All coverages, each with its label."""
-        found = [("all samples", self.coverage)]
-        found += [(f"size {name}", check) for name, check in self.by_size.items()]
-        found += [(f"group {name}", check) for name, check in self.by_group.items()]
-        if self.slab is not None and self.slab.coverage is not None:
-            found.append(("worst slab, other samples", self.slab.coverage))
-        return found
+        return [
+            ("all samples", self.coverage),
+            *((f"size {name}", check) for name, check in self.by_size.items()),
+            *((f"group {name}", check) for name, check in self.by_group.items()),
+            *([] if self.slab is None else [("worst slab, other samples", self.slab)]),
+        ]
 
 
 @dataclass(frozen=True)
@@ -103,17 +102,6 @@ class Diagnosis:
         Of the calibration and the test.
     within_groups
         Whether coverage is guaranteed within each group.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from conformodal.conformal import QuantileBins, SplitConformal, diagnose
-    >>> rng = np.random.default_rng(0)
-    >>> bins = QuantileBins.from_edges([np.linspace(0, 1, 11)])
-    >>> proba, y = rng.dirichlet(np.ones(10), 400), rng.random(400)
-    >>> cal = SplitConformal(bins, alpha=0.1).calibrate(proba[:200], y[:200])
-    >>> bool(diagnose(cal, proba[200:], y[200:]).columns[0].coverage.inside)
-    True
     """
 
     columns: tuple[ColumnDiagnosis, ...]
@@ -164,11 +152,6 @@ def _table(column: ColumnDiagnosis) -> list[str]:
     for label, c in rows:
         mark = "within" if c.inside else "BELOW" if c.coverage < c.low else "above"
         lines.append(f"  {label:{width}}  {c.n_test:7d}  {c.coverage:8.3f}  [{c.low:.3f}, {c.high:.3f}]  {mark}")
-    u = column.uniformity
-    if u is None:
-        return lines
-    some = f" ({u.n_calibration} and {u.n_test} samples)" if u.n_test < u.p_values.size else ""
-    lines.append(f"  p-values uniform: largest distance {u.distance:.3f}, chance of as much {u.p_value:.3f}{some}")
     return lines
 
 
@@ -196,13 +179,13 @@ def diagnose(
         (n, p) inputs, to search for the worst slab.
     groups
         (n,) labels, to check group by group. A :class:`~conformodal.conformal.MondrianConformal` needs them: bands are
-        then those of its groups, and neither sizes, slabs nor p-values are checked.
+        then those of its groups, and neither sizes nor slabs are checked.
     names
         Names of the targets.
     level
         Probability of every band.
     random_state
-        Seed of the slab search, of ties and of the simulated law of the p-values.
+        Seed of the slab search.
 
     Examples
     --------
@@ -238,24 +221,22 @@ def diagnose(
     guarantees = zip(targets, inside.T, regions.length.T, strict=True)
     if calibrator.joint == "max":
         guarantees = zip(["all targets"], [inside.all(axis=1)], [regions.volume], strict=True)
-    scores = calibrator.scores_, calibrator.score_samples(proba, values)
-    calibration, test = map(calibrator.columns, scores)
-    law: Any = {"n_calibration": len(scores[0]), "alpha": calibrator.alpha_per_target, "level": level}
+    n_calibration = len(calibrator.scores_)
+    law: Any = {"n_calibration": n_calibration, "alpha": calibrator.alpha_per_target, "level": level}
     columns = []
-    for j, (name, held, size) in enumerate(guarantees):
+    for name, held, size in guarantees:
         whole = check_coverage(held, **law)
         if isinstance(calibrator, MondrianConformal) and groups is not None:
             by_group = coverage_by_group(held, groups, calibrator.sizes_, law["alpha"], level)
             pairs = [(check.n_calibration, check.n_test) for check in by_group.values()]
             low, high = grouped_coverage_band(pairs, law["alpha"], level)
-            columns.append(ColumnDiagnosis(name, replace(whole, low=low, high=high), {}, by_group, None, None))
+            columns.append(ColumnDiagnosis(name, replace(whole, low=low, high=high), {}, by_group, None))
             continue
         by_size = coverage_by_size(held, size, **law)
         by_group = {} if groups is None else coverage_by_group(held, groups, **law)
         slab = None if X is None or len(held) < 2 else worst_slab(held, X, **law, random_state=random_state)
-        uniformity = check_uniformity(calibration[:, j], test[:, j], random_state=random_state)
-        columns.append(ColumnDiagnosis(name, whole, by_size, by_group, slab, uniformity))
+        columns.append(ColumnDiagnosis(name, whole, by_size, by_group, slab))
     sizes, together = tuple(summarise_sizes(regions)), float(inside.all(axis=1).mean())
     about = calibrator.alpha, calibrator.joint, calibrator.score_.name
     within = isinstance(calibrator, MondrianConformal)
-    return Diagnosis(tuple(columns), targets, sizes, together, *about, len(scores[0]), len(values), within)
+    return Diagnosis(tuple(columns), targets, sizes, together, *about, n_calibration, len(values), within)
