@@ -25,7 +25,7 @@ NOT_OF_SPLITS = dict.fromkeys(
 
 @pytest.mark.filterwarnings("ignore")
 @parametrize_with_checks(
-    [ConformalRegressor(DecisionTreeClassifier(min_samples_leaf=5), n_bins=10, random_state=0)],
+    [ConformalRegressor(DecisionTreeClassifier(min_samples_leaf=5, random_state=0), n_bins=10, random_state=0)],
     expected_failed_checks=lambda _: NOT_OF_SPLITS,
 )
 def test_it_is_a_scikit_learn_estimator(estimator, check):

@@ -56,17 +56,15 @@ class Regions:
 
     def __getitem__(self, index: slice | BoolArray | npt.NDArray[np.integer]) -> Regions:
         """Regions of some of the samples: a slice, a boolean mask or an array of positions."""
-        if not isinstance(index, slice):
-            try:
-                index = np.asarray(index, dtype=None if np.size(index) else np.int64)
-            except ValueError:
-                raise ConformodalError(f"index must be a slice or a vector, got {brief(index)}") from None
-            if index.ndim != 1 or index.dtype.kind not in "biu":
-                raise ConformodalError(f"index must be a slice or a vector, got {brief(index)}")
-            n = len(self)
-            if index.shape != (n,) if index.dtype == np.bool_ else ((index < -n) | (index >= n)).any():
-                raise ConformodalError(f"index does not fit {n} regions, got {brief(index)}")
-        return Regions(self.bins, [m[index] for m in self.masks], self.unbounded[index])
+        try:
+            rows = np.arange(len(self))[index]
+            if rows.ndim != 1:
+                raise IndexError
+        except (IndexError, ValueError, TypeError):
+            raise ConformodalError(
+                f"index must be a slice or a vector, for {len(self)} regions, got {brief(index)}"
+            ) from None
+        return Regions(self.bins, [mask[rows] for mask in self.masks], self.unbounded[rows])
 
     @classmethod
     def concatenate(cls, parts: Iterable[Regions]) -> Regions:

@@ -192,7 +192,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             self.estimators_.append(model)
             out_of_fold.append(proba)
         if unseen:
-            scored = [proba for proba in out_of_fold if proba is not None]
+            scored: list[Any] = [proba for proba in out_of_fold if proba is not None]
             scored = scored or self._proba(learnt)  # too few rows to leave any out
             self.calibrator_.fit_scale(scored, values[training[: len(scored[0])]])
         if held_out.size:

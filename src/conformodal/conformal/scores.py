@@ -164,14 +164,7 @@ SCORES: dict[str, Score] = {
 
 
 def register_score(score: Score) -> Score:
-    """Make a score known by its name, to all that take the name of a score.
-
-    Examples
-    --------
-    >>> from conformodal.conformal import Aps, register_score
-    >>> register_score(Aps(share=0.9)).name
-    'aps_fixed'
-    """
+    """Make a score known by its name, to all that take the name of a score."""
     SCORES[score.name] = resolve_score(score)
     return score
 

@@ -22,17 +22,14 @@ from .coverage import CoverageCheck, check_coverage, coverage_by_group, coverage
 from .slab import worst_slab
 
 _ASSUMPTION = (
-    "The band of all samples holds if the calibration and test samples are exchangeable (split at "
-    "random, say), neither was learnt from, and scores have no ties. Even then coverage lies outside its {level} band "
-    "with probability up to {chance}{of_any}. Outside, at least one of these assumptions is likely violated. Nothing "
-    "is guaranteed for a size, a group or a slab by itself: outside its band, sets are too small (BELOW) or too large "
-    "(above) in this part by more than chance explains; for groups, MondrianConformal mends that. For samples in a "
-    "sequence, such as frames of a video, coverage is an observation, not a guarantee."
+    "A band holds if the calibration and test samples{of_each_group} are exchangeable (split at random, say), neither "
+    "was learnt from, and scores have no ties. Even then coverage lies outside its {level} band with probability up to "
+    "{chance}{of_any}. Outside, at least one of these assumptions is likely violated. For samples in a sequence, such "
+    "as frames of a video, coverage is an observation, not a guarantee."
 )
-_WITHIN_GROUPS = (
-    "The bands hold if the calibration and test samples of each group are exchangeable, neither was learnt from, and "
-    "scores have no ties. Even then coverage lies outside its {level} band with probability up to {chance}{of_any}. "
-    "Outside, at least one of these assumptions is likely violated."
+_NOT_BY_PARTS = (
+    " Nothing is guaranteed for a size, a group or a slab by itself: outside its band, sets are too small (BELOW) or "
+    "too large (above) in this part by more than chance explains; for groups, MondrianConformal mends that."
 )
 
 
@@ -135,9 +132,14 @@ class Diagnosis:
             lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{least}."]
         level, n_bands = self.columns[0].coverage.level, len(self.columns)
         of_any = f" (one of {n_bands}: up to {min(1.0, n_bands * (1 - level)):.2g})" if n_bands > 1 else ""
-        words = {"level": f"{100 * level:g} %", "chance": f"{1 - level:.2g}", "of_any": of_any}
-        assumption = (_WITHIN_GROUPS if self.within_groups else _ASSUMPTION).format(**words)
-        return "\n".join([*lines, "", *textwrap.wrap(assumption, 110)])
+        assumption = _ASSUMPTION.format(
+            of_each_group=" of each group" if self.within_groups else "",
+            level=f"{100 * level:g} %",
+            chance=f"{1 - level:.2g}",
+            of_any=of_any,
+        )
+        caveat = assumption if self.within_groups else assumption + _NOT_BY_PARTS
+        return "\n".join([*lines, "", *textwrap.wrap(caveat, 110)])
 
 
 def _percent(share: float) -> str:
