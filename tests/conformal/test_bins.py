@@ -39,13 +39,6 @@ def test_repeated_and_constant_values():
     assert constant.encode([3.0, 3.1])[:, 0].tolist() == [0, -1]
 
 
-def test_margin_reaches_beyond_the_training_range():
-    bins = QuantileBins(4, margin=0.1).fit(np.linspace(0, 10, 41))
-    assert bins.edges_[0][0] == -1
-    assert bins.edges_[0][-1] == 11
-    assert bins.encode([-0.5, 10.5])[:, 0].tolist() == [0, 3]
-
-
 def test_soft_targets_peak_at_the_true_bin_and_average_to_the_true_place():
     bins = QuantileBins.from_edges([np.array([0.0, 1, 3, 6, 10, 15])])
     y = np.array([4.5, 3.0, 12.0])

@@ -30,14 +30,6 @@ def test_short_calibration_gives_unbounded_regions(problem):
     assert regions.intervals(0)[0].tolist() == [[-np.inf, np.inf]]
 
 
-def test_values_outside_the_edges_count_against_calibration(problem):
-    bins, proba, _ = problem(3, n=20)
-    far = np.full((20, 2), 1e6)
-    cal = SplitConformal(bins, 0.5).calibrate(proba, far)
-    assert np.isposinf(cal.scores_).all()
-    assert cal.predict(proba).unbounded.all()
-
-
 def test_coverage_band_is_central_and_exact():
     low, high = coverage_band(99, 50, 0.1, level=0.9)
     law = stats.betabinom(50, 90, 10)

@@ -103,13 +103,3 @@ def test_weights_of_zero_leave_samples_out_of_all():
     plain = reg.fit(X[weight > 0], y[weight > 0], np.ones((weight > 0).sum())).predict_bins(X)
     np.testing.assert_array_equal(weighted, plain)
     np.testing.assert_array_equal(thresholds, reg.calibrator_.thresholds_)
-
-
-def test_a_diagnosis_in_one_call():
-    X, y = bimodal(1500)
-    reg = ConformalRegressor(forest(), n_bins=30, random_state=0).fit(X[:1000], y[:1000])
-    found = reg.diagnose(X[1000:], y[1000:], groups=X[1000:, 0] > 0)
-    assert found.columns[0].coverage.coverage == reg.predict_region(X[1000:]).contains(y[1000:]).mean()
-    assert set(found.columns[0].by_group) == {"True", "False"}
-    with pytest.raises(NotCalibratedError, match="conformalize"):
-        ConformalRegressor(forest(), calibration_size=0).fit(X, y).diagnose(X, y)

@@ -125,12 +125,6 @@ def test_other_files_and_folders_are_not_replaced(content, tmp_path):
     assert path.is_dir() or path.read_bytes() == content
 
 
-def test_a_regressor_of_an_earlier_format_is_replaced(tmp_path):
-    (tmp_path / "reg.cm").write_bytes(skops.dumps({"format": "conformodal-table-1"}))
-    fitted(estimator=FOREST, n_bins=4).save(tmp_path / "reg.cm")
-    assert ConformalRegressor.load(tmp_path / "reg.cm").n_bins == 4
-
-
 def test_another_version_of_scikit_learn_is_a_warning(tmp_path, monkeypatch):
     reg = fitted(estimator=FOREST, n_bins=4)
     with monkeypatch.context() as patch:

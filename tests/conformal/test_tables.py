@@ -2,7 +2,6 @@
 
 from datetime import date
 from decimal import Decimal
-from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -16,7 +15,7 @@ from sklearn.preprocessing import OneHotEncoder
 from sklearn.tree import DecisionTreeClassifier
 from sklearn.utils import get_tags
 
-from conformodal.conformal import ConformalRegressor, ConformodalError, MondrianConformal, region_scorers
+from conformodal.conformal import ConformalRegressor, ConformodalError, MondrianConformal
 from conformodal.conformal.density.encoder import TableEncoder, as_column
 
 N = 240
@@ -108,13 +107,6 @@ def test_columns_of_other_things_are_not_taken_for_missing_or_text(value):
         as_column(pd.Series([value] * 3), "c")
 
 
-def test_a_column_without_values_in_training_tells_nothing():
-    X = pd.DataFrame({"a": [1.0, 2.0], "b": [None, None]})
-    encoder = TableEncoder().fit(X)
-    for later in ("x", 3.0, None):
-        np.testing.assert_array_equal(encoder.transform(X.assign(b=later)), [[1, 0], [2, 0]])
-
-
 @pytest.mark.parametrize(
     "column",
     [["a", None, 1, 2.0], ["x", None, "y", "y"], pd.Categorical([1, None, 2, 2]), pd.Categorical(["u", "v"] * 2)],
@@ -157,15 +149,12 @@ def test_targets_in_another_order_are_refused():
     X, y = frame()
     both, numbers = pd.DataFrame({"dose": y, "days": 10 * y}), X[["age"]].fillna(50)
     reg = tree().fit(numbers, both)
-    regions, density = reg.predict_region(numbers), reg.predict_density(numbers)
-    np.testing.assert_array_equal(regions.contains(both), regions.contains(both.to_numpy()))
-    np.testing.assert_array_equal(regions.contains(both.set_axis(["u", "v"], axis=1)), regions.contains(both))
+    assert reg.predict_region(numbers).contains(both).mean() > 0.8
     turned = both[["days", "dose"]]
-    calls = (regions.contains, density.pdf, *(lambda y, call=call: call(numbers, y) for call in (
-        reg.conformalize, reg.diagnose, partial(region_scorers()["neg_length"], reg))))  # fmt: skip
+    calls = reg.conformalize, reg.diagnose, lambda X, y: reg.predict_region(X).contains(y)
     for call in calls:
         with pytest.raises(ConformodalError, match="y has its columns in another order"):
-            call(turned)
+            call(numbers, turned)
 
 
 def test_values_beyond_those_learnt_from_are_not_called_few():

@@ -45,23 +45,6 @@ def test_one_group_equal_weights_and_one_fold_are_split_conformal(problem, seed,
             np.testing.assert_array_equal(a, b)
 
 
-def test_mondrian_covers_every_group_and_falls_back():
-    rng = np.random.default_rng(0)
-    bins = cm.QuantileBins.from_edges([np.linspace(-9, 9, 2001)])
-    center = bins.centers[0]
-    proba = np.exp(-0.5 * center**2)[None].repeat(4000, axis=0)
-    proba /= proba.sum(axis=1, keepdims=True)
-    group = np.tile([0, 1], 2000)
-    y = rng.normal(size=4000) * np.where(group, 1.8, 0.5)
-    sets = cm.MondrianConformal(bins, 0.1).calibrate(proba[:2000], y[:2000], group[:2000])
-    inside = sets.predict(proba[2000:], group[2000:]).contains(y[2000:])[:, 0]
-    assert abs(inside[::2].mean() - 0.9) < 0.04  # 0.04: three standard deviations of the Beta-binomial law
-    assert abs(inside[1::2].mean() - 0.9) < 0.04
-    assert sets.predict(proba[:1], [7]).unbounded.all()
-    pooled = cm.MondrianConformal(bins, 0.1, fallback="pooled").calibrate(proba[:2000], y[:2000], group[:2000])
-    assert not pooled.predict(proba[:1], [7]).unbounded.any()
-
-
 def test_mondrian_falls_back_for_small_groups_only_not_for_groups_that_lie_outside(problem):
     bins, proba, y = problem(0, n=80)
     group = np.repeat([0, 1, 2], [40, 35, 5])
@@ -154,20 +137,3 @@ def test_thresholds_are_grouped_quantiles_column_by_column(problem, joint):
     expected = [cm.hierarchical_quantile([p[:, j] for p in parts], str(rate)) for j in range(columns.shape[1])]
     np.testing.assert_array_equal(cal.thresholds_, np.broadcast_to(expected, 2))
     assert cal.n_units == len(np.unique(group))
-
-
-def draws(rng, bins, shape):
-    """Rows of probabilities, and values from them: within a bin, any is as likely as any other."""
-    proba = rng.dirichlet(np.ones(bins.sizes[0]), size=(*shape, bins.n_targets))
-    code = (rng.random((*shape, bins.n_targets, 1)) > np.cumsum(proba, axis=-1)[..., :-1]).sum(axis=-1)
-    return proba, code + rng.random(code.shape)
-
-
-def test_one_threshold_over_all_targets_needs_no_scale_and_nine_samples():
-    bins = cm.QuantileBins.from_edges([np.arange(7.0)] * 3)
-    proba, y = draws(np.random.default_rng(0), bins, (9,))
-    cal = cm.SplitConformal(bins, 0.1, "hpd", "max").calibrate(proba, y)
-    assert np.isfinite(cal.thresholds_).all()
-    assert len(set(cal.thresholds_.tolist())) == 1
-    few = cm.SplitConformal(bins, 0.1, "hpd", "max").calibrate(proba[:8], y[:8])
-    assert few.predict(proba).unbounded.all()

@@ -116,13 +116,6 @@ def test_conditions_on_any_scale_give_the_same_thresholds(rng, offset, factor):
     np.testing.assert_allclose(thresholds(scores, doubled, twice), plain, rtol=1e-6)  # a column that adds nothing
 
 
-@pytest.mark.filterwarnings("ignore:regions of")
-def test_other_new_samples_change_no_threshold(rng):
-    x, scores = rng.random((60, 1)), np.abs(rng.normal(size=60))
-    alone = thresholds(scores, x, [[0.3]])
-    assert thresholds(scores, x, [[0.3], [1e10]])[0] == alone[0]
-
-
 @pytest.mark.parametrize("ratio", [1e-7, 1e-4, 1e4, 1e7])
 def test_groups_with_scores_of_other_sizes_keep_their_thresholds(rng, ratio):
     scores, group = np.abs(rng.normal(size=80)) * 1e-3, np.repeat([0, 1], 40)
@@ -131,16 +124,3 @@ def test_groups_with_scores_of_other_sizes_keep_their_thresholds(rng, ratio):
     found = thresholds(scores, group[:, None] == [0, 1], np.eye(2))
     over = found / [cm.conformal_quantile(scores[group == g], 0.1) for g in (0, 1)]
     assert ((over >= 1) & (over <= 1 + 1e-3)).all()
-
-
-def test_joint_forms_cover_both_targets(rng):
-    bins, y = QuantileBins(20).fit(rng.normal(size=(3000, 2))), rng.normal(size=(3000, 2))
-    proba, group = [np.full((3000, 20), 0.05)] * 2, rng.random((3000, 2)) < 0.5
-    parts = [slice(0, 100), slice(100, 1100), slice(1100, None)]
-    for joint, least in (("none", 0.6), ("bonferroni", 0.77), ("max", 0.77)):
-        its = ConditionalConformal(bins, 0.2, "density", joint)
-        if joint == "max":
-            its.fit_scale([p[parts[0]] for p in proba], y[parts[0]])
-        its.calibrate([p[parts[1]] for p in proba], y[parts[1]], group[parts[1]])
-        regions = its.predict([p[parts[2]] for p in proba], group[parts[2]])
-        assert least <= regions.contains(y[parts[2]]).all(axis=1).mean() < 0.88

@@ -7,7 +7,7 @@ from sklearn.naive_bayes import GaussianNB
 from sklearn.neighbors import KNeighborsClassifier
 
 from conformodal.conformal import ConformalRegressor, ConformodalError, QuickDensity, SlowFitWarning, StackedDensity
-from conformodal.conformal.density.fitting import as_learner, warn_if_slow
+from conformodal.conformal.density.fitting import warn_if_slow
 
 
 class Slow:
@@ -38,14 +38,6 @@ def table(n=60):
     rng = np.random.default_rng(0)
     X = rng.uniform(-1, 1, (n, 1))
     return X, X[:, 0] + rng.standard_normal(n)
-
-
-def test_names():
-    assert isinstance(as_learner(None, 0)[0], QuickDensity)
-    assert isinstance(as_learner("quick", 0)[0], QuickDensity)
-    assert isinstance(as_learner("stack", 0)[0], StackedDensity)
-    with pytest.raises(ConformodalError, match=r"estimator must be one of \['quick', 'stack'\].*'fast'"):
-        ConformalRegressor("fast").fit(*table())
 
 
 def test_a_slow_fit_is_a_warning():
