@@ -70,10 +70,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     ----------
     estimator
         None or ``"quick"`` for :class:`QuickDensity`, in seconds; ``"stack"`` for :class:`StackedDensity`, in minutes
-        with shorter sets (``results/peers_all_rows.md``: 0.81 of the length of the best peer's, in the geometric mean
-        over seven data sets); any classifier with ``predict_proba``, fitted five times on bin numbers without every
-        fifth row, averaged, and smoothed over bins as the left-out rows require; or an object with
-        ``fit_bins(X, y, edges)`` and ``predict_proba``.
+        with shorter sets; any classifier with ``predict_proba``, fitted five times on bin numbers without every fifth
+        row, averaged, and smoothed over bins as the left-out rows require; or an object with ``fit_bins(X, y, edges)``
+        and ``predict_proba``.
     n_bins
         Bins per target. None: 200 for an object with ``fit_bins`` (these smooth over bins), 50 for a classifier.
     alpha

@@ -9,7 +9,7 @@ from bisect import bisect_left, insort
 from collections import deque
 from collections.abc import Callable
 from fractions import Fraction
-from math import ceil, inf, pi, sqrt, tan
+from math import ceil, inf, isnan, pi, sqrt, tan
 from sys import float_info
 from typing import Protocol, Self
 
@@ -68,9 +68,7 @@ class PastScores:
 
 def as_score(score: float) -> float:
     """Return a score as a float."""
-    if type(score) is float and score == score:  # noqa: PLR0124 - not NaN
-        return score
-    return as_number(score, "score", "a number and not NaN (what cannot be scored scores +inf)", lambda s: s == s)  # noqa: PLR0124
+    return as_number(score, "score", "a number and not NaN (what cannot be scored scores +inf)", lambda s: not isnan(s))
 
 
 class Aci:
@@ -80,7 +78,7 @@ class Aci:
     share of misses over T steps differs from alpha by at most ``(max(alpha, 1 - alpha) + gamma) / (T gamma)`` (there,
     proposition 4.1). For this, the threshold is ``+inf`` (unbounded) if ``alpha_t`` is below 0, and ``-inf`` (the empty
     set, which misses every score, ``-inf`` too) from 1 on. Nothing is guaranteed about the size of the sets or any part
-    of the sequence: against scores just above the threshold, nine sets in ten are unbounded at alpha = 0.1.
+    of the sequence.
 
     Parameters
     ----------
@@ -129,8 +127,7 @@ class ConformalPid:
 
     For any sequence, the share of misses over T steps differs from alpha by at most
     ``(pi/2 saturation sqrt(T) + 1) / T``. This is the source's theorem 1 with the saturation ``h(t) = sqrt(t)``; as the
-    integral saturates at infinity, scores may be unbounded. With the source's ``t / log(t)`` the bound would be useless
-    for millions of steps.
+    integral saturates at infinity, scores may be unbounded.
 
     Parameters
     ----------
@@ -220,12 +217,8 @@ class OnlineConformal:
 
     Parameters
     ----------
-    bins
-        Fitted bins.
-    alpha
-        Miscoverage rate in (0, 1), per target.
-    score
-        As in :class:`~conformodal.conformal.calibrators.base.Calibrator`.
+    bins, alpha, score
+        As in :class:`~conformodal.conformal.calibrators.base.Calibrator`; the rate is per target.
     method
         ``"aci"`` or ``"pid"`` with their defaults, or a function that makes a :class:`Tracker` from alpha. ``"aci"``
         stores all past scores, about 40 bytes per sample and target; ``lambda alpha: Aci(alpha, window=1000)`` stores
