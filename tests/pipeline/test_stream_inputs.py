@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from conformodal.geometry import MotionStatus, RelativeMotion, Trajectory
 from conformodal.io import read_recording
 from conformodal.io.streams.frames import Frame
-from conformodal.localizer.prior import fit_motion_prior
 from conformodal.localizer.region_rules import EvidenceType
-from conformodal.localizer.smoother import smooth_orientations
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.results import ResultsWriter
@@ -150,15 +147,6 @@ def test_a_blank_first_frame_is_like_no_known_place(model, images, what):
     assert odometry.step(images[0], 0.1).pose is not None
 
 
-FRAMES = [[-1, 2], [0, 10**6], [3, 2], [2, 2], np.ones(5, bool), [0.5, 1.5], [[0, 1]], ["a"], 3]
-
-
-@pytest.mark.parametrize("frames", FRAMES, ids=repr)
-def test_frames_to_answer_are_increasing_indices(model, small_world, frames):
-    with pytest.raises(OdometryError, match="frames must"):
-        VisualOdometry(model).process(read_recording(small_world.folder), frames)
-
-
 @pytest.mark.parametrize("time", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("at", [0, 2])
 def test_a_frame_without_a_time_is_left_out_of_the_results(model, images, tmp_path, time, at):
@@ -172,14 +160,3 @@ def test_a_frame_without_a_time_is_left_out_of_the_results(model, images, tmp_pa
     assert list(runner.problems) == ["bad"]
     assert "finite" in runner.problems["bad"]
     assert (runner.n_answered, runner.n_problems) == (4, 1)
-
-
-@pytest.mark.filterwarnings("error")
-def test_a_motion_of_unknown_spread_weighs_nothing_and_warns_of_nothing():
-    quats = np.array([[1.0, 0, 0, 0], [0.9, 0.1, 0, 0], [0.8, 0.2, 0.1, 0]])
-    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-    prior = fit_motion_prior(Trajectory(np.arange(3.0), np.eye(3), quats), np.zeros(3, dtype=np.int64))
-    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    motions = [None, *[RelativeMotion(MotionStatus.OK, turn, np.array([0.0, 0, 1]))] * 2]
-    found = smooth_orientations(quats, np.full(3, 0.1), motions, np.arange(3.0), prior)
-    np.testing.assert_allclose(np.abs(np.sum(found * quats, axis=1)), 1.0, atol=1e-9)

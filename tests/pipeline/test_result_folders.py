@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +14,7 @@ import pytest
 
 from conformodal.core.files import PART, write_whole
 from conformodal.geometry import Trajectory
-from conformodal.io import folders
-from conformodal.io.folders import FolderError, FolderInUseError, check_writable, writing_in
+from conformodal.io.folders import FolderError, FolderInUseError, writing_in
 from conformodal.io.pose_files import write_tum
 from conformodal.pipeline.errors import ResultsError
 from conformodal.pipeline.results import (
@@ -28,27 +26,22 @@ from conformodal.pipeline.results import (
     region_record,
     write_metrics,
 )
-from conformodal.pipeline.store import load_model, save_model
 from tests.helpers import contents, fill, invoke
 
 # files of a folder, and the commands that may write in it
 ANY = {"train", "run", "demo", "evaluate"}
 HOLDS = {
-    "a model": ({"model.json": "{}"}, {"train"}),
     "a model and its metrics": ({"model.json": "{}", "metrics.json": '{"command": "train"}'}, {"train"}),
     "a run": ({"regions.jsonl": "", "metrics.json": '{"command": "run"}'}, {"run"}),
     "a killed run": ({"regions.jsonl.part": ""}, ANY),
-    "a run without metrics": ({"regions.jsonl": ""}, {"run"}),
     "a demo": ({"corridor/x": "", "regions.jsonl": "", "metrics.json": '{"command": "demo"}'}, {"demo"}),
     "a reproduction": ({"metrics.json": '{"command": "reproduce table1"}'}, set()),
     "an evaluation": ({"metrics.json": '{"command": "evaluate"}'}, {"evaluate"}),
-    "findings": ({"metrics.json": '{"command": "data check"}'}, set()),
     "metrics of something else": ({"metrics.json": "[1]"}, set()),
     "other files": ({"notes.txt": "mine"}, ANY),
     "nothing": ({}, ANY),
     # files of the names that a command writes, where it has not written any
     "a report": ({"report.html": "mine"}, {"train", "evaluate"}),
-    "a truth": ({"truth.tum": "mine"}, ANY - {"run"}),
     "a folder called model": ({"model/model.json": "mine"}, ANY - {"demo"}),
 }
 
@@ -68,7 +61,7 @@ def test_a_folder_belongs_to_one_command(tmp_path, what):
         assert contents(tmp_path) == before
 
 
-UNUSABLE = ["file", "file/x/y", "link", "a\0b", "x" * 300, "/".join(["x" * 200] * 30), "/dev/null/x"]
+UNUSABLE = ["file", "file/x/y", "link", "a\0b", "x" * 300]
 
 
 @pytest.mark.parametrize("name", UNUSABLE, ids=range(len(UNUSABLE)))
@@ -79,17 +72,6 @@ def test_folders_that_cannot_be_written_are_refused_before_the_work(tmp_path, na
     with pytest.raises(FolderError), lock_output(tmp_path / name, "run"):
         pass
     assert sorted(tmp_path.iterdir()) == before
-
-
-@pytest.mark.parametrize("number", [errno.EACCES, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.EIO])
-@pytest.mark.parametrize("call", ["mkdir", "TemporaryFile"])
-def test_what_the_system_refuses_names_the_folder(tmp_path, monkeypatch, number, call):
-    def refuse(*_, **__):
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(Path if call == "mkdir" else folders.tempfile, call, refuse)
-    with pytest.raises(FolderError, match=f"new: .*{os.strerror(number)}"):
-        check_writable(tmp_path / "new")
 
 
 HOLD = "import sys; from pathlib import Path; from conformodal.io.folders import writing_in\n"
@@ -150,7 +132,7 @@ def write_results(folder, n=6, shift=0.0, truth=True, after=None):
     write_metrics(folder, {**done, "results": writer.digests})
 
 
-@pytest.mark.parametrize("after", range(7))
+@pytest.mark.parametrize("after", [0, 3, 6])
 def test_earlier_results_stay_where_the_next_run_breaks_off(tmp_path, after):
     write_results(tmp_path)
     mine = {"evaluation/notes.txt": "mine", "methods/notes.txt": "mine", "notes.txt": "mine"}
@@ -168,22 +150,6 @@ def test_earlier_results_stay_where_the_next_run_breaks_off(tmp_path, after):
     assert not after_all.keys() & {*made, "truth.tum"}
     assert not [name for name in after_all if name.endswith(UNFINISHED)]
     assert read_trajectories(tmp_path)["smoothed"].positions_xyz[0, 0] == pytest.approx(2)
-
-
-class Killed(BaseException):
-    pass
-
-
-def killed_at(moment, moves, change):
-    """A change of a path that kills the process at some moment."""
-
-    def counted(self, *args, **kwargs):
-        moves.append(self)
-        if len(moves) == moment:
-            raise Killed
-        return change(self, *args, **kwargs)
-
-    return counted
 
 
 def drop(*names):
@@ -214,7 +180,6 @@ CHANGED = {
     ),
     "no metrics": (drop("metrics.json"), "metrics.json"),
     "metrics are broken": (content("metrics.json", "{"), "metrics.json"),
-    "metrics are nested without end": (content("metrics.json", "[" * 99999), "metrics.json"),
     "signs are three": (says(sign_reference_quat_wxyz=[1, 0, 0]), "not four numbers"),
     "a method has other times": (
         lambda f: write_tum(f / "methods" / "online.tum", replace(path_of(6), timestamps_s=9 + np.arange(6.0))),
@@ -267,26 +232,6 @@ def test_damaged_records_are_named(tmp_path, what):
         read_region_records(path)
 
 
-@pytest.mark.parametrize("moment", [1, 2, 3])
-@pytest.mark.parametrize("first", [False, True])
-def test_a_model_is_whole_whenever_saving_is_killed(small_world, tmp_path, monkeypatch, moment, first):
-    model = load_model(small_world.model)
-    if not first:
-        save_model(model, tmp_path)
-    other = replace(model, localizer=replace(model.localizer, sign_reference=-model.sign_reference))
-    with monkeypatch.context() as patched, suppress(Killed):
-        patched.setattr(Path, "replace", killed_at(moment, [], Path.replace))
-        save_model(other, tmp_path)
-    if first:
-        assert not (tmp_path / "model.json").exists()
-    else:
-        np.testing.assert_array_equal(load_model(tmp_path).sign_reference, model.sign_reference)
-    save_model(other, tmp_path)
-    np.testing.assert_array_equal(load_model(tmp_path).sign_reference, other.sign_reference)
-    names = sorted(p.name for p in tmp_path.iterdir())
-    assert [name.partition("-")[0] for name in names] == ["model.json", "network", "weights"]
-
-
 @pytest.fixture(scope="module")
 def world(small_world, tmp_path_factory):
     """A copy of the small world, with a source whose frames cannot be read, results, and a folder with a truth."""
@@ -318,30 +263,3 @@ def test_a_command_that_is_refused_changes_nothing(world, monkeypatch, command):
     assert [line[:7] for line in result.stderr.splitlines() if "error" in line] == ["error: "]
     assert "Traceback" not in result.output
     assert contents(world) == before
-
-
-@pytest.mark.parametrize("moment", ["before the flight", "in the flight", "after it"])
-@pytest.mark.parametrize("seed", [0, 4])
-def test_a_demo_that_was_killed_starts_again(tmp_path, monkeypatch, moment, seed):
-    flights = []
-
-    def fly(folder, *, seed, **_):
-        if moment == "before the flight" and not flights:
-            flights.append(None)
-            raise KeyboardInterrupt
-        fill(folder, {"seq-01/seed": str(seed)})
-        flights.append(seed)
-        if moment == "in the flight" and len(flights) == 1:
-            shutil.move(folder / "seq-01", folder / ".seq-01.part")
-            raise KeyboardInterrupt
-
-    def stop(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("conformodal.cli.demo.write_corridor", fly)
-    monkeypatch.setattr("conformodal.cli.demo.train_on", stop)
-    monkeypatch.setattr("conformodal.cli.demo.read_recording", lambda folder: folder)
-    for given in (0, seed, seed):
-        assert invoke("demo", "--out", tmp_path, "--seed", given).exit_code == 130
-    assert (tmp_path / "corridor" / "seq-01" / "seed").read_text() == str(seed)
-    assert len(flights) == 1 + (moment != "after it" or seed == 4)

@@ -7,15 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from conformodal.cli.sources import open_source
 from conformodal.geometry import PinholeCamera, Trajectory
 from conformodal.io import DatasetError, Layout, read_recording
 from conformodal.io.convert import WRITABLE, write_layout
 from conformodal.io.streams.frames import Frame
 from conformodal.io.streams.stored import RecordingStream
-from conformodal.pipeline.identity import identify
 from tests.helpers import contents, fill, run_ok
 from tests.io.test_layouts import PLACES, WRITERS, N
 
@@ -50,38 +47,6 @@ def test_frames_with_a_pose_keep_it_and_the_others_are_named(tmp_path, layout, t
     whole = read_recording(tmp_path / "b", to, require_poses=False)
     assert [int(whole.image(k)[0, 0, 0]) for k in range(len(whole))] == [10 * i for i in range(N)]
     np.testing.assert_array_equal(whole.known_poses.timestamps_s, after.timestamps_s)
-
-
-def test_poses_of_neighbours_are_not_lent(tmp_path):
-    """At 200 Hz a pose could be interpolated."""
-    folder = tmp_path / "a"
-    folder.mkdir()
-    for i in range(6):
-        Image.new("RGB", (64, 48), (i, 0, 0)).save(folder / f"{i}.png")
-    (folder / "times.txt").write_text(" ".join(str(0.005 * i) for i in range(6)))
-    (folder / "camera-intrinsics.txt").write_text("40 0 32\n0 40 24\n0 0 1\n")
-    rows = ["1 0 0 0 0 1 0 0 0 0 1 0"] * 6
-    rows[2] = " ".join(["nan"] * 12)
-    (folder / "poses.txt").write_text("\n".join(rows))
-    result = run_ok("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
-    assert "kept 1 frame without a pose: 2.png" in result.output
-    assert len(read_recording(tmp_path / "b")) == 5
-    whole = read_recording(tmp_path / "b", require_poses=False)
-    assert (len(whole), len(whole.known_poses)) == (6, 5)
-
-
-def test_what_misses_the_first_poses_is_the_data_set_of_its_model(tmp_path):
-    """A sequence read for training and one read for ``run --part test`` are the same data set."""
-    folder = WRITERS[Layout.TUM](tmp_path)
-    rng = np.random.default_rng(0)
-    for path in (folder / "rgb").iterdir():
-        Image.fromarray(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)).save(path)
-    lose(Layout.TUM, tmp_path, (0, 1))
-    trained = read_recording(folder)
-    again = open_source(str(folder), Layout.AUTO, as_trained=True).sequence
-    assert again.image_paths == trained.image_paths
-    found = identify(trained).find(identify(again))
-    assert found.tolist() == [0, 1, 2]
 
 
 class Failing:

@@ -1,22 +1,13 @@
 """Options out of range, contradictions, and what the system refuses: an exit code, and the option or file is named."""
 
 import errno
-import os
-import signal
-from functools import partial
-from math import inf, isfinite, nan
 
-import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
 
 from conformodal.cli import failures
-from conformodal.conformal import ConformodalError, QuantileBins
-from conformodal.core.ranges import RANGES
-from conformodal.features.settings import TrainingConfig
-from conformodal.io import make_split
-from conformodal.pipeline.config import ModelConfig
+from conformodal.conformal import ConformodalError
 from tests.helpers import invoke
 from tests.io.streams.test_streams import video as write_video
 
@@ -96,35 +87,6 @@ def test_options_that_would_change_nothing_are_refused(small_world, tmp_path, co
     assert not (tmp_path / "out").exists()
 
 
-def outside(allowed):
-    """Values on both sides of a range, and what is not a finite number."""
-    ends = [allowed.low] * allowed.low_open + [allowed.high] * allowed.high_open
-    far = [allowed.low - 1, allowed.high + 1, 10.0 * allowed.high]
-    return [*ends, *(v for v in far if isfinite(v))] + ([] if allowed.whole else [nan, inf, -inf])
-
-
-SPLIT = partial(make_split, np.repeat([0, 1, 2], 50), "blocks")
-
-
-def fit_bins(**settings):
-    return QuantileBins(**settings).fit(np.arange(5.0))
-
-
-DOORS = {
-    fit_bins: ["n_bins"],
-    ModelConfig: ["n_bins", "sigma_bins", "novelty_level", "test", "seed"],
-    SPLIT: ["test", "calibration", "used", "seed", "n_blocks"],
-    TrainingConfig: ["epochs", "batch_size", "learning_rate", "dropout", "seed"],
-}
-
-
-@pytest.mark.parametrize(("name", "door"), [(name, door) for door, names in DOORS.items() for name in names])
-def test_python_refuses_numbers_out_of_range(name, door):
-    for value in outside(RANGES[name]):
-        with pytest.raises(ConformodalError, match=name):
-            door(**{name: value})
-
-
 def ended(error):
     """The result of a command that fails so."""
     small = typer.Typer()
@@ -162,36 +124,3 @@ def test_every_end_is_one_line_and_a_code(monkeypatch, error, code, named):
 def test_a_fault_of_the_program_can_be_shown_in_full(monkeypatch):
     monkeypatch.setenv(failures.SHOW_ALL, "1")
     assert isinstance(ended(KeyError("x")).exception, KeyError)
-
-
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_signals_are_treated_alike_and_handlers_come_back(name):
-    number, collected = getattr(signal, name), []
-    outside = signal.signal(number, signal.default_int_handler)  # under nohup it would stay ignored
-
-    def send(times, *, gently):
-        with failures.stopping(gently=gently) as signals:
-            collected.append(signals)
-            for _ in range(times):
-                os.kill(os.getpid(), number)
-
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            send(1, gently=False)
-        send(1, gently=True)
-        with pytest.raises(KeyboardInterrupt):
-            send(2, gently=True)
-        assert [failures.stop_code(signals) for signals in collected] == [128 + number] * 3
-        assert signal.getsignal(number) is signal.default_int_handler
-    finally:
-        signal.signal(number, outside)
-
-
-def test_a_signal_that_is_ignored_stays_ignored():
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with failures.stopping() as signals:
-            os.kill(os.getpid(), signal.SIGHUP)
-        assert signals == []
-    finally:
-        signal.signal(signal.SIGHUP, before)

@@ -3,15 +3,13 @@
 import io
 import json
 import re
-import time
 
 import numpy as np
 import pytest
 
-from conformodal.cli.console import LOG, PlainConsole, plain, progress_bars
-from conformodal.core.files import write_whole
+from conformodal.cli.console import PlainConsole, plain
 from conformodal.geometry import Trajectory
-from conformodal.pipeline.results import ResultsWriter, read_region_records, region_record, write_region_parquet
+from conformodal.pipeline.results import ResultsWriter, read_region_records, region_record
 from conformodal.report.page import ReportContent, write_page
 from conformodal.report.viewer import make_viewer
 from tests.helpers import invoke
@@ -84,28 +82,3 @@ def test_frames_of_any_name_are_stored_and_shown(name, tmp_path):
     assert page.count("</script") == 2
     for foreign in ("<img src=x", "<script>alert"):
         assert foreign not in page
-
-
-def test_frames_of_any_name_go_into_parquet(name, tmp_path):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    run_of(name, tmp_path)
-    write_region_parquet(tmp_path, records_of(name))
-    found = parquet.read_table(tmp_path / "regions.parquet")["frame"].to_pylist()
-    assert found == [f"{name}{i}".encode("utf-8", "backslashreplace").decode() for i in range(3)]
-
-
-def test_text_of_any_kind_can_be_written(name, tmp_path):
-    write_whole(tmp_path / "x.md", name)
-    assert (tmp_path / "x.md").read_bytes().decode() == name.encode("utf-8", "backslashreplace").decode()
-
-
-def test_progress_is_written_into_the_folder_of_results(tmp_path, monkeypatch):
-    monkeypatch.setattr("conformodal.cli.console._LOG_EVERY_S", 0.01)
-    log = tmp_path / LOG
-    for stage, done in (("training", 1), ("evaluation", 0)):
-        with progress_bars(tmp_path) as report:
-            report("features", 5, 5)
-            report(stage, done, 3)
-            while not log.exists() or f" {stage} {done}/3\n" not in log.read_text():
-                time.sleep(0.01)
-    assert "training" not in log.read_text()  # the log of the run before is replaced
