@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 from sklearn.cluster import KMeans
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.geometry.undistortion import undistort
 from conformodal.io import Recording
 
 EVERY, KEYPOINTS, WORDS, RETRIEVED, MIN_INLIERS = 3, 2000, 64, 10, 12
@@ -89,7 +88,7 @@ def _features(sift: Any, image: Any, sequence: Recording) -> Features:
     keypoints, descriptors = sift.extract_from_uint8_array(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
     pixels = pycolmap.keypoints_to_matrix(keypoints)[:, :2].astype(float) - 0.5  # COLMAP counts from the corner
     rows = np.asarray(descriptors.data, np.float32)
-    return Features(undistort(pixels, sequence.camera), rows / np.linalg.norm(rows, axis=1, keepdims=True))
+    return Features(sequence.camera.undistort(pixels), rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
 
 def _camera(sequence: Recording, focal: FloatArray) -> Any:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from conformodal.geometry import PinholeCamera
-from conformodal.geometry.shutter import NO_FLOW, at_pose_time
+from conformodal.geometry.camera import NO_FLOW
 from conformodal.tracking.flow import affine_flow
 
 CAMERA = PinholeCamera(500, 500, 320, 240, 640, 480)
@@ -31,5 +31,5 @@ def test_few_corners_or_a_long_time_give_no_flow(seconds, n):
 
 def test_rows_are_moved_to_the_time_of_the_pose():
     pixels, flow = np.array([[100.0, 0.0], [100.0, 240.0], [100.0, 480.0]]), np.array([[100.0, 10.0]] * 3)
-    moved = at_pose_time(pixels, flow, np.array([0.01, 0.02]), CAMERA) - pixels
+    moved = CAMERA.at_pose_time(pixels, flow, np.array([0.01, 0.02])) - pixels
     assert moved == pytest.approx(-flow * np.array([[0.0], [0.01], [0.02]]))

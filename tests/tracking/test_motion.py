@@ -6,7 +6,6 @@ from conformodal.corridor.path import rotation_world_cam
 from conformodal.corridor.render import Renderer
 from conformodal.corridor.world import CorridorWorld
 from conformodal.geometry import MotionStatus, PinholeCamera
-from conformodal.geometry.undistortion import undistort
 from conformodal.io import read_recording
 from conformodal.tracking.frontend import EssentialFrontEnd, MotionFrontEnd
 from conformodal.tracking.relative_pose import estimate_relative_motion, plane_motions
@@ -218,7 +217,7 @@ def test_distortion_is_taken_out_of_corners(lens):
     inside = ((before > 0) & (before < (640, 480)) & (after > 0) & (after < (640, 480))).all(axis=1)
     before, after = before[inside], after[inside]
     bent = PinholeCamera(500, 510, 320, 240, 640, 480, lens)
-    np.testing.assert_allclose(undistort(through_lens(before, lens), bent), before, atol=1e-4)
+    np.testing.assert_allclose(bent.undistort(through_lens(before, lens)), before, atol=1e-4)
     motion = estimate_relative_motion(through_lens(before, lens), through_lens(after, lens), bent)
     assert motion.n_inliers == len(before)
     assert Rotation.from_matrix(motion.R_prev_next.T @ R).magnitude() < 1e-4

@@ -105,16 +105,6 @@ def test_where_nothing_can_be_told_there_is_no_submap():
     assert build_submaps(nonsense, CAMERA) == []
 
 
-def test_frames_are_renumbered_or_refused():
-    centres, rotations, points = world()
-    (submap,) = build_submaps(corners_of(centres, rotations, points), CAMERA)
-    doubled = submap.renumbered({f: 2 * f for f in range(12)})
-    np.testing.assert_array_equal(doubled.frames, 2 * submap.frames)
-    assert doubled.span == 23
-    np.testing.assert_array_equal(doubled.positions, submap.positions)
-    assert submap.renumbered({0: 0, 1: 1}) is None
-
-
 def test_corners_keep_their_numbers(redkitchen):
     sequence = read_recording(redkitchen)
     tracker = CornerTracker()

@@ -10,8 +10,7 @@ import numpy as np
 
 from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array
 from conformodal.geometry import PinholeCamera
-from conformodal.geometry.shutter import NO_FLOW, at_pose_time
-from conformodal.geometry.undistortion import undistort
+from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import thumbnail
 from conformodal.io.decoding import grey_image
 
@@ -37,10 +36,8 @@ class LocalFeatures(NamedTuple):
         return np.asarray(self.pixels @ self.flow[:, :2].T + self.flow[:, 2])
 
     def at_pose_time(self, shutter: FloatArray, camera: PinholeCamera) -> LocalFeatures:
-        """With corners where they are when the pose is taken, see
-        :func:`~conformodal.geometry.shutter.at_pose_time`.
-        """
-        return self._replace(pixels=at_pose_time(self.pixels, self.flows, shutter, camera))
+        """With corners where they are when the pose is taken, see :meth:`PinholeCamera.at_pose_time`."""
+        return self._replace(pixels=camera.at_pose_time(self.pixels, self.flows, shutter))
 
 
 class Corners(NamedTuple):
@@ -77,7 +74,7 @@ def extract_local_features(image: UInt8Array, camera: PinholeCamera, detector: s
     """Local features, of one of :data:`DETECTORS`, and global descriptor of an image (height, width[, 3])."""
     grey = grey_image(image)
     corners = DETECTORS[detector](grey)
-    return LocalFeatures(undistort(corners.pixels, camera), corners.descriptors, thumbnail(grey), image_quality(grey))
+    return LocalFeatures(camera.undistort(corners.pixels), corners.descriptors, thumbnail(grey), image_quality(grey))
 
 
 def match(descriptors: UInt8Array, others: UInt8Array) -> IntArray:

@@ -1,14 +1,20 @@
-"""A pinhole camera, and the distortion of its lens."""
+"""A pinhole camera, the distortion of its lens, and its shutter, which reads rows one after the other."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
 
 from .rotations import PoseError
+
+NO_FLOW = np.zeros((2, 3))
+_UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-8)
+# in OpenCV 4 the function that takes a criterion has its own name; in OpenCV 5 there is one function
+_undistort_points = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
 
 
 @dataclass(frozen=True)
@@ -55,3 +61,24 @@ class PinholeCamera:
         """Unit rays (n, 3) in the camera frame (x right, y down, z forward) through undistorted pixels (n, 2)."""
         rays = np.column_stack((self.on_plane(pixels), np.ones(len(pixels))))
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+    def poselib(self) -> dict[str, object]:
+        """The intrinsics as PoseLib takes them; corners are undistorted before."""
+        params = [self.fx, self.fy, self.cx, self.cy]
+        return {"model": "PINHOLE", "width": self.width, "height": self.height, "params": params}
+
+    def undistort(self, pixels: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of the same rays in the pinhole camera without distortion."""
+        if not self.distortion or not len(pixels):
+            return pixels
+        lens = np.array(self.distortion)
+        ideal = _undistort_points(pixels[:, None], self.matrix, lens, R=np.eye(3), P=self.matrix, criteria=_UNTIL)
+        return np.asarray(ideal, dtype=np.float64)[:, 0]
+
+    def at_pose_time(self, pixels: FloatArray, flow: FloatArray, shutter: FloatArray) -> FloatArray:
+        """Where undistorted pixels (..., 2) are when the given pose is taken, from their flow (..., 2).
+
+        `shutter` are the seconds by which the middle row is late, and those between the first row and the last.
+        """
+        late = shutter[0] + shutter[1] * (pixels[..., 1:] / self.height - 0.5)
+        return np.asarray(pixels - late * flow)

@@ -18,7 +18,6 @@ from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.geometry import PinholeCamera, rigid_motions
 
 from .settings import CAMERA_FIT
-from .shutter import at_pose_time
 
 NO_DELAY = np.zeros(2)
 
@@ -36,7 +35,7 @@ class Mounted(NamedTuple):
 
     camera: PinholeCamera
     T_pose_cam: FloatArray
-    shutter: FloatArray = NO_DELAY  # (2,), see conformodal.geometry.shutter.at_pose_time
+    shutter: FloatArray = NO_DELAY  # (2,), see PinholeCamera.at_pose_time
 
 
 def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, depth_m: float) -> Mounted:
@@ -80,7 +79,7 @@ def _epipolar_errors_px(mounted: Mounted, matches: Matches, poses_se3: FloatArra
     camera = mounted.camera
     poses = poses_se3 @ mounted.T_pose_cam
     (Ri, ci), (Rj, cj) = ((poses[f, :3, :3], poses[f, :3, 3]) for f in matches.frames.T)
-    plane = camera.on_plane(at_pose_time(matches.pixels, matches.flows, mounted.shutter, camera))
+    plane = camera.on_plane(camera.at_pose_time(matches.pixels, matches.flows, mounted.shutter))
     rays = np.concatenate((plane, np.ones((*plane.shape[:2], 1))), axis=2)
     baseline = np.einsum("mba,mb->ma", Rj, ci - cj)
     line_j = np.cross(baseline, np.einsum("mba,mbc,mc->ma", Rj, Ri, rays[:, 0]))

@@ -17,7 +17,6 @@ import numpy as np
 from conformodal.core.arrays import AnyArray, Float32Array, FloatArray
 
 from .camera import PinholeCamera
-from .undistortion import undistort
 
 _STEPS = 4096
 _SHRINK = 1.5  # images finer than so many times are made coarser first
@@ -75,7 +74,7 @@ def pinhole_of(camera: AnyCamera) -> PinholeCamera:
 
 def on_plane(camera: PinholeCamera, pixels: FloatArray) -> FloatArray:
     """Where rays through pixels (n, 2) as they are on the image meet the plane at depth 1."""
-    return camera.on_plane(undistort(pixels, camera))
+    return camera.on_plane(camera.undistort(pixels))
 
 
 @lru_cache(maxsize=16)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import Self
 
 import numpy as np
 
@@ -94,11 +92,6 @@ class Submap:
     depth: float
     sigma: float
     rotation_sigma_rad: float
-
-    def renumbered(self, number: Mapping[int, int]) -> Self | None:
-        """With the frames' numbers replaced; None where one has no other."""
-        frames = [number.get(f) for f in self.frames.tolist()]
-        return None if None in frames else replace(self, frames=np.array(frames, dtype=np.int64))
 
     @property
     def span(self) -> int:

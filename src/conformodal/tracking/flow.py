@@ -8,8 +8,7 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray, UInt8Array
 from conformodal.features.local import LocalFeatures, extract_local_features
 from conformodal.geometry import PinholeCamera
-from conformodal.geometry.shutter import NO_FLOW
-from conformodal.geometry.undistortion import undistort
+from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import ImageError, Recording
 from conformodal.io.decoding import grey_image
 
@@ -27,7 +26,7 @@ def affine_flow(step: _Step, seconds: float, camera: PinholeCamera) -> FloatArra
     """
     if not 0 < seconds < FLOW.longest_s or len(step[0]) < FLOW.least_corners:
         return NO_FLOW
-    before, now = (undistort(pixels.astype(np.float64), camera) for pixels in step)
+    before, now = (camera.undistort(pixels.astype(np.float64)) for pixels in step)
     shifts, rows = now - before, np.column_stack((now, np.ones(len(now))))
     weights = np.ones((len(now), 1))
     for _ in range(FLOW.iterations):

@@ -9,7 +9,6 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray, UInt8Array
 from conformodal.geometry import MotionStatus, PinholeCamera, RelativeMotion
-from conformodal.geometry.undistortion import undistort
 from conformodal.io.decoding import grey_image
 
 from .relative_pose import estimate_relative_motion
@@ -136,7 +135,7 @@ class EssentialFrontEnd(FrontEnd):
         n = len(before)
         if n < RELATIVE_POSE.essential_corners:
             return RelativeMotion(MotionStatus.TOO_FEW, n_tracks=n)
-        view = solve_opencv(undistort(before, self.camera), undistort(now, self.camera), self.camera)
+        view = solve_opencv(self.camera.undistort(before), self.camera.undistort(now), self.camera)
         if view is None:
             return RelativeMotion(MotionStatus.INCONSISTENT, n_tracks=n)
         n_inliers = int(view.inliers.sum())

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from conformodal.core.arrays import IntArray
 from conformodal.core.parallel import raise_if_cancelled
@@ -77,6 +79,7 @@ def measure_motions(
 
 
 def _append_submaps(record: MotionRecord, corners: dict[int, Corners], sequence: Recording) -> None:
-    frames = dict(enumerate(corners))
-    submaps = (submap.renumbered(frames) for submap in build_submaps(list(corners.values()), sequence.camera))
-    record.submaps.extend(submap for submap in submaps if submap is not None)
+    """Add the submaps of the frames of one recording, by whose numbers `corners` are."""
+    frames = np.array(list(corners), dtype=np.int64)
+    submaps = build_submaps(list(corners.values()), sequence.camera)
+    record.submaps.extend(replace(submap, frames=frames[submap.frames]) for submap in submaps)

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.geometry import MotionStatus, PinholeCamera, RelativeMotion
-from conformodal.geometry.undistortion import undistort
 
 from .settings import RELATIVE_POSE
 from .spreads import image_cells, motion_spreads, turning_spread
@@ -33,7 +32,7 @@ def estimate_relative_motion(
     if n < RELATIVE_POSE.min_tracks:
         blank = (n_at_start if n_at_start is not None else n) < RELATIVE_POSE.min_tracks
         return RelativeMotion(MotionStatus.TOO_FEW if blank else MotionStatus.LOST, n_tracks=n)
-    pixels_prev, pixels_next = undistort(pixels_prev, camera), undistort(pixels_next, camera)
+    pixels_prev, pixels_next = camera.undistort(pixels_prev), camera.undistort(pixels_next)
     pixel = 2.0 / (camera.fx + camera.fy)  # radians
     flow = np.linalg.norm(pixels_next - pixels_prev, axis=1)
     if np.median(flow) < RELATIVE_POSE.repeated_flow_px:

@@ -18,7 +18,6 @@ from conformodal.geometry import MotionStatus, PinholeCamera, Submap
 from conformodal.geometry.adjustment import INVERSE_DEPTHS, Adjustment, Bundle, Observations
 from conformodal.geometry.robust import MEDIAN_OF_NORM2
 from conformodal.geometry.triangulation import Rays, triangulate
-from conformodal.geometry.undistortion import poselib_camera, undistort
 
 from .relative_pose import estimate_relative_motion
 from .settings import SUBMAPS
@@ -127,8 +126,8 @@ def _match_views(corners: Sequence[Corners], camera: PinholeCamera) -> _Views:
     best = np.sort(np.argsort(-visible.sum(axis=0), kind="stable")[: SUBMAPS.max_corners])
     best = best[visible[:, best].any(axis=0)]
     anchor, pixels = first.pixels[best].astype(np.float64), pixels[:, best]
-    undistorted = undistort(pixels.reshape(-1, 2), camera).reshape(pixels.shape)
-    return _Views(undistort(anchor, camera), undistorted, visible[:, best], anchor, pixels[-1])
+    undistorted = camera.undistort(pixels.reshape(-1, 2)).reshape(pixels.shape)
+    return _Views(camera.undistort(anchor), undistorted, visible[:, best], anchor, pixels[-1])
 
 
 def _first_guess(
@@ -140,7 +139,7 @@ def _first_guess(
     sound = inverse > SUBMAPS.least_residual_px / camera.fx
     if sound.sum() < SUBMAPS.min_corners / 2:
         return None
-    model = poselib_camera(camera)
+    model = camera.poselib()
     rotations, centres = [], []
     for pixels, visible in zip(views.others[:-1], views.visible[:-1], strict=True):
         use = sound & visible

@@ -11,7 +11,6 @@ import poselib
 
 from conformodal.core.arrays import AnyArray, BoolArray, FloatArray
 from conformodal.geometry import PinholeCamera
-from conformodal.geometry.undistortion import poselib_camera
 
 from .settings import RELATIVE_POSE
 
@@ -36,7 +35,7 @@ TwoViewSolver: TypeAlias = Callable[[FloatArray, FloatArray, PinholeCamera], Two
 
 def solve_poselib(pixels_prev: FloatArray, pixels_next: FloatArray, camera: PinholeCamera) -> TwoView | None:
     """LO-RANSAC over five points, then a robust fit to all inliers, of undistorted pixels (n, 2)."""
-    model = poselib_camera(camera)
+    model = camera.poselib()
     pose, info = poselib.estimate_relative_pose(
         pixels_prev, pixels_next, model, model, RELATIVE_POSE.ransac, RELATIVE_POSE.refinement
     )

@@ -8,8 +8,8 @@ from conformodal.core import parallel
 from conformodal.features import local as local_features
 from conformodal.features.local import Matcher, match
 from conformodal.geometry import Trajectory
+from conformodal.geometry.camera import NO_FLOW
 from conformodal.geometry.settings import MAP_POSES
-from conformodal.geometry.shutter import NO_FLOW
 from conformodal.localizer.settings import GUIDING, MAPPING, PNP
 from conformodal.localizer.sources import keyframes, mapping
 from conformodal.localizer.sources.landmarks import LandmarkSource

@@ -17,7 +17,7 @@ from torch import nn
 from conformodal.core.extras import require_extra
 from conformodal.features.settings import HUB_PREFIX, VisionError
 
-from .network import LoadedLayers
+from .lite import LoadedLayers
 
 _STRIDE = 16
 

@@ -5,14 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib import import_module, metadata
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from conformodal.core.extras import require_extra
 from conformodal.features.settings import VisionError
 
-from .network import LoadedLayers
+if TYPE_CHECKING:
+    from torch import nn
 
 # The scaling that the Lite weights were trained with (EfficientNet-Lite, Google 2020).
 _PIXEL_MEAN, _PIXEL_SCALE = (127.0,), (128.0,)
+
+
+class LoadedLayers(NamedTuple):
+    """Layers, the mean and scale of the pixels in 0 to 255 that they expect, and bytes that tell their weights."""
+
+    layers: list[nn.Module]
+    pixel_mean: tuple[float, ...]
+    pixel_scale: tuple[float, ...]
+    identity: bytes
 
 
 @dataclass(frozen=True)

