@@ -18,7 +18,6 @@ from common import ROOT, cached_json, parser_with_seeds, table_lines, write_page
 
 from conformodal.geometry import position_errors_m
 from conformodal.localizer.radius import depth_or_default
-from conformodal.quality.place_ambiguity import most_probable
 from conformodal.quality.settings import QUALITY
 from conformodal.quality.view_coverage import ViewScale, pose_coverage
 
@@ -35,7 +34,8 @@ def measured(seed: int, runs: Path) -> dict[str, Any]:
     scale = ViewScale.of(sequence.camera, depth_or_default(model.prior.depth_m))
     coverage = pose_coverage(truth, sequence.recording, truth[model.localizer.frames], scale)
     run = models.run(model)
-    off = most_probable(run.localization) - truth.positions_xyz[test]
+    most_probable = [c.positions_xyz[int(np.argmax(c.log_mass))] for c in run.localization.candidates]
+    off = np.array(most_probable) - truth.positions_xyz[test]
     return {
         "depth_m": scale.depth_m,
         "change": coverage.change[test].tolist(),

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from .pipeline.estimator import VisualOdometry
     from .pipeline.model import PoseModel
     from .pipeline.train import train_model
-    from .report.diagnosis import draw_diagnosis
-    from .report.tables import draw_coverage, draw_regions
+    from .report.tables import draw_coverage, draw_diagnosis, draw_regions
 
 __all__ = [
     "ConformalRegressor",
@@ -60,7 +59,7 @@ _MODULES = {
     "Trajectory": ".geometry",
     "VisualOdometry": ".pipeline.estimator",
     "draw_coverage": ".report.tables",
-    "draw_diagnosis": ".report.diagnosis",
+    "draw_diagnosis": ".report.tables",
     "draw_regions": ".report.tables",
     "open_stream": ".io.streams",
     "read_recording": ".io",

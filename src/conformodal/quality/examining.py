@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from conformodal.core.arrays import BoolArray, IntArray, evenly_spread
+from conformodal.core.arrays import IntArray, evenly_spread
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.geometry import Trajectory
@@ -16,7 +16,7 @@ from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.radius import depth_or_default
 from conformodal.pipeline.depths import measure_depths
 from conformodal.pipeline.identity import identify
-from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.model import Localization, PoseModel
 from conformodal.tracking.flow import frame_features
 
 from .guarantee import EvidenceGuarantee, guarantees
@@ -32,17 +32,16 @@ class RecordingQuality:
     sequence: Recording
     posed: IntArray  # (n,) numbers of the frames that have a pose
     poses: Trajectory | None  # theirs; None where none has one
-    # (k,) numbers of the frames that the model's sources know, -1 where the recording lacks them; all without a model
-    known_names: IntArray
+    trained: IntArray  # (k,) numbers of the frames that the model's sources were trained on; all without a model
     scale: ViewScale
     coverage: PoseCoverage | None  # from poses alone; None without
     ambiguity: Ambiguity | None = None  # of held-out frames; None without a model, or where it knows all frames
     guarantees: list[EvidenceGuarantee] = field(default_factory=list)  # of the model, by evidence type
 
     @property
-    def known(self) -> BoolArray:
-        """(n,) whether the model's sources know each frame with a pose."""
-        return np.isin(self.posed, self.known_names)
+    def n_held_out(self) -> int:
+        """Frames with a pose that the model's sources were not trained on."""
+        return int(np.setdiff1d(self.posed, self.trained).size)
 
     @property
     def axes(self) -> tuple[int, int]:
@@ -72,28 +71,31 @@ def examine(
     """
     posed, poses, recording = sequence.posed, sequence.poses, sequence.recording
     if model is None:
-        scale = ViewScale.of(sequence.camera, depth_or_default(_depth(sequence)))
-        coverage = None if poses is None else pose_coverage(poses, recording[posed], poses, scale, posed)
-        return RecordingQuality(sequence, posed, poses, posed, scale, coverage)
-    model.check_camera(sequence.camera)
-    frames = model.localizer.frames
-    at = frames if just_trained else model.known_frames.find(identify(sequence))[frames]
-    rows = model.known_frames.poses[frames]
-    known = Trajectory(np.arange(len(rows), dtype=np.float64), rows[:, :3], rows[:, 3:])
-    scale = ViewScale.of(sequence.camera, depth_or_default(model.prior.depth_m))
-    coverage = None if poses is None else pose_coverage(poses, recording[posed], known, scale, posed)
-    unseen = np.setdiff1d(np.arange(len(sequence)), at)
+        trained, views, depth_m = posed, poses, _depth(sequence)
+    else:
+        model.check_camera(sequence.camera)
+        trained = frames = model.localizer.frames
+        if not just_trained:
+            trained = model.known_frames.find(identify(sequence))[frames]
+        rows, depth_m = model.known_frames.poses[frames], model.prior.depth_m
+        views = Trajectory(np.arange(float(len(rows))), rows[:, :3], rows[:, 3:])
+    scale = ViewScale.of(sequence.camera, depth_or_default(depth_m))
+    coverage = None
+    if poses is not None and views is not None:
+        coverage = pose_coverage(poses, recording[posed], views, scale, posed)
+    if model is None:
+        return RecordingQuality(sequence, posed, poses, trained, scale, coverage)
+    held_out = np.setdiff1d(np.arange(len(sequence)), trained)
     most = QUALITY.most_after_training if just_trained else QUALITY.most_looked
-    unseen = unseen[evenly_spread(len(unseen), most)]
-    held_out, evidence = _look(sequence, model, unseen, cache or FeatureCache(None), progress)
-    places = ambiguity(held_out, recording[held_out], model.localize(evidence), scale) if len(held_out) else None
-    return RecordingQuality(sequence, posed, poses, at, scale, coverage, places, guarantees(model))
+    frames, answers = _localize(sequence, model, held_out[evenly_spread(len(held_out), most)], cache, progress)
+    places = None if answers is None else ambiguity(frames, recording[frames], answers, scale)
+    return RecordingQuality(sequence, posed, poses, trained, scale, coverage, places, guarantees(model))
 
 
-def _look(
-    sequence: Recording, model: PoseModel, frames: IntArray, cache: FeatureCache, progress: StageProgress | None
-) -> tuple[IntArray, FrameEvidence]:
-    """Those of some frames whose images can be read, and what is looked at in each."""
+def _localize(
+    sequence: Recording, model: PoseModel, frames: IntArray, cache: FeatureCache | None, progress: StageProgress | None
+) -> tuple[IntArray, Localization | None]:
+    """Those of some frames whose images can be read, and the model's answers to each alone."""
     report, usable, local = stage_of(progress, "held-out"), [], []
     for done, i in enumerate(frames.tolist(), start=1):
         with suppress(ImageError):
@@ -103,9 +105,10 @@ def _look(
                 local.append(frame_features(sequence, i))
         if report is not None:
             report(done, len(frames))
-    files = [sequence.image_paths[i] for i in usable]
+    files, cache = [sequence.image_paths[i] for i in usable], cache or FeatureCache(None)
     features = extract_features(files, model.backbone, cache, stage_of(progress, "network"), sequence.noise)
-    return np.array(usable, dtype=np.int64), FrameEvidence(features, local)
+    answers = model.localize(FrameEvidence(features, local)) if usable else None
+    return np.array(usable, dtype=np.int64), answers
 
 
 def _depth(sequence: Recording) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil
 
 import numpy as np
 
@@ -17,7 +16,7 @@ WHERE = {
     EvidenceType.GLOBAL: "in all images",
     EvidenceType.UNMATCHED: "where landmarks recognise no place",
     EvidenceType.LANDMARKS: "where landmarks recognise the place",
-    EvidenceType.DISTURBED: "where images are blurred, dark, bright or noisy as none in training",
+    EvidenceType.DISTURBED: "in disturbed images",
 }
 
 
@@ -43,23 +42,17 @@ class EvidenceGuarantee:
     def describe(self) -> str:
         """The guarantee in one line."""
         text = f"regions {WHERE[self.evidence]}: {'bounded' if self.finite else 'unbounded'} at alpha = {self.alpha:g}"
-        if self.weight == self.n_frames:
-            text += f", calibrated on {counted(self.n_frames, 'frame')}"
-        else:
-            units = counted(self.n_units, "stretch or recording", "stretches or recordings")
-            text += f", calibrated on {counted(self.n_frames, 'frame')} of {units} (weight {self.weight:.1f}"
-            text += f", at least {self.weight_needed:g} needed)"
+        text += f", calibrated on {counted(self.n_frames, 'frame')}"
+        if self.weight != self.n_frames:
+            text += f" (weight {self.weight:.1f} of {self.n_units}, at least {self.weight_needed:g} needed)"
         if self.band is not None and self.finite:
             text += f"; cover {self.band[0]:.3f} to {self.band[1]:.3f} of {N_NEW} new frames (99 % band)"
         return text
 
     def advice(self) -> str:
         """What to record so that regions are bounded."""
-        unbounded = f"regions are unbounded {WHERE[self.evidence]}"
-        if self.beyond_range:
-            return f"Record training data that reaches further: {unbounded}; calibration frames lie beyond it."
-        times = f"{ceil(self.weight_needed / self.weight)} times as much" if self.weight else "more"
-        return f"Record {times}, or ask for a larger alpha than {self.alpha:g}: {unbounded}."
+        what = "training data that reach further" if self.beyond_range else "more, or ask for a larger alpha"
+        return f"Record {what}: regions are unbounded {WHERE[self.evidence]}."
 
 
 def guarantees(model: PoseModel) -> list[EvidenceGuarantee]:

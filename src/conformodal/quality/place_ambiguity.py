@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import IntArray
 from conformodal.geometry import Trajectory
 from conformodal.localizer.places import Place
 from conformodal.localizer.region_rules import EvidenceType
@@ -55,22 +55,16 @@ def ambiguity(frames: IntArray, recording: IntArray, answers: Localization, scal
     return Ambiguity(frames, n_places, int((answers.kinds == EvidenceType.UNKNOWN).sum()), stretches)
 
 
-def most_probable(answers: Localization) -> FloatArray:
-    """(m, 3) positions of the most probable hypotheses of each image by itself."""
-    return np.array([c.positions_xyz[int(np.argmax(c.log_mass))] for c in answers.candidates])
-
-
 def _distinct(places: Sequence[Place], scale: ViewScale) -> list[Place]:
     """Of places with the most probable first, those whose views have nothing in common with a more probable one."""
     distinct: list[Place] = []
     for place in places:
-        near = bool(distinct) and scale.change(_poses([place] * len(distinct)), _poses(distinct)).min() <= QUALITY.apart
-        if not near:
+        if not distinct or scale.change(_poses([place] * len(distinct)), _poses(distinct)).share.min() > QUALITY.apart:
             distinct.append(place)
     return distinct
 
 
 def _poses(places: Sequence[Place]) -> Trajectory:
-    times = np.arange(float(len(places)))
     positions = np.array([place.position_xyz for place in places])
-    return Trajectory(times, positions, np.array([place.orientation_quat_wxyz for place in places]))
+    quats = np.array([place.orientation_quat_wxyz for place in places])
+    return Trajectory(np.arange(float(len(places))), positions, quats)

@@ -15,6 +15,15 @@ from conformodal.geometry import PinholeCamera, Trajectory, angle_between_quats
 from .settings import QUALITY
 
 
+@dataclass(frozen=True, eq=False)
+class ViewChange:
+    """How much n views differ from others, (n,) each; infinite where there is no other view."""
+
+    share: FloatArray  # of the view, see :class:`ViewScale`
+    distance_m: FloatArray
+    angle_deg: FloatArray
+
+
 @dataclass(frozen=True)
 class ViewScale:
     """What makes metres and angles comparable: the camera's field of view, and how deep the scene is.
@@ -40,17 +49,20 @@ class ViewScale:
         half = min(camera.width / camera.fx, camera.height / camera.fy) / 2
         return cls(depth_m, float(2 * np.arctan(half)))
 
-    def change(self, one: Trajectory, other: Trajectory) -> FloatArray:
-        """Share of the view that changes between n pairs of poses, (n,)."""
-        metres, radians = _apart(one, other)
-        return np.asarray(np.hypot(metres / self.depth_m, radians) / self.fov_rad)
+    def change(self, one: Trajectory, other: Trajectory) -> ViewChange:
+        """The change between n pairs of poses."""
+        metres = np.linalg.norm(one.positions_xyz - other.positions_xyz, axis=1)
+        radians = angle_between_quats(one.orientations_quat_wxyz, other.orientations_quat_wxyz)
+        return ViewChange(np.hypot(metres / self.depth_m, radians) / self.fov_rad, metres, np.degrees(radians))
 
-    def nearest(self, views: Trajectory, known: Trajectory) -> IntArray:
-        """Which of the known views, at least one, changes least into each of n views, (n,)."""
+    def change_from_nearest(self, views: Trajectory, known: Trajectory) -> ViewChange:
+        """The change of n views from the known one that differs least."""
+        if not len(known):
+            return ViewChange(*np.full((3, len(views)), np.inf))
         points = self._embedded(known)
         mirrored = points * np.array([1, 1, 1, -1, -1, -1, -1])  # q and -q are one rotation
         _, rows = KDTree(np.concatenate((points, mirrored))).query(self._embedded(views))
-        return np.asarray(rows, dtype=np.int64) % len(known)
+        return self.change(views, known[np.asarray(rows, dtype=np.int64) % len(known)])
 
     def _embedded(self, poses: Trajectory) -> FloatArray:
         """Points (n, 7) whose distances are changes of view: a quaternion moves by half of a small angle."""
@@ -65,11 +77,9 @@ class Stretch:
     first: int  # frame
     last: int
     place_xyz: tuple[float, float, float]  # where the view differs most, in metres
-    # there: a share of the view, see :class:`ViewScale`; infinite without a known view, as the next two
-    change: float
+    change: float  # there, as the next two; see :class:`ViewChange`
     distance_m: float
     angle_deg: float
-    nearest: int = -1  # index of the known view that is nearest there; -1 for fast motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,31 +104,22 @@ def pose_coverage(
     Poses are in order of time, with the number (n,) of each one's recording, and of its frame if that is not its row.
     A known frame covers itself.
     """
-    n = len(poses)
-    frames = np.arange(n) if frames is None else frames
-    nearest, change, apart = np.full(n, -1), np.full(n, np.inf), (np.full(n, np.inf), np.full(n, np.inf))
-    if len(known):
-        nearest = scale.nearest(poses, known)
-        change, apart = scale.change(poses, known[nearest]), _apart(poses, known[nearest])
-    sparse = change > QUALITY.sparse
-    steps, fast = scale.change(poses[:-1], poses[1:]), np.diff(recording) == 0
+    frames = np.arange(len(poses)) if frames is None else frames
+    away, steps = scale.change_from_nearest(poses, known), scale.change(poses[:-1], poses[1:])
+    sparse = away.share > QUALITY.sparse
     # what is to be recorded anyway is not too fast as well
-    fast &= (steps > QUALITY.fast) & ~(sparse[:-1] & sparse[1:])
-    step_apart, no_view = _apart(poses[:-1], poses[1:]), np.full(n, -1)
+    fast = (steps.share > QUALITY.fast) & (np.diff(recording) == 0) & ~(sparse[:-1] & sparse[1:])
 
-    def stretch(run: IntArray, ends: IntArray, is_sparse: bool) -> Stretch:
-        size, (metres, radians), view = (change, apart, nearest) if is_sparse else (steps, step_apart, no_view)
-        worst = int(run[np.argmax(size[run])])
+    def stretch(run: IntArray, last: int, change: ViewChange) -> Stretch:
+        worst = int(run[np.argmax(change.share[run])])
         x, y, z = poses.positions_xyz[worst].tolist()
-        degrees = float(np.degrees(radians[worst]))
-        return Stretch(
-            int(ends[0]), int(ends[-1]), (x, y, z), float(size[worst]), float(metres[worst]), degrees, int(view[worst])
-        )
+        size = (float(values[worst]) for values in (change.share, change.distance_m, change.angle_deg))
+        return Stretch(int(frames[run[0]]), int(frames[last]), (x, y, z), *size)
 
     return PoseCoverage(
-        change,
-        [stretch(run, frames[run], True) for run in runs_of(sparse, recording)],
-        [stretch(run, frames[[run[0], run[-1] + 1]], False) for run in runs_of(fast, recording)],
+        away.share,
+        [stretch(run, run[-1], away) for run in runs_of(sparse, recording)],
+        [stretch(run, run[-1] + 1, steps) for run in runs_of(fast, recording)],
     )
 
 
@@ -128,9 +129,3 @@ def runs_of(chosen: BoolArray, recording: IntArray) -> Iterator[IntArray]:
     if frames.size:
         apart = (np.diff(frames) > QUALITY.bridged + 1) | (np.diff(recording[frames]) != 0)
         yield from np.split(frames, np.flatnonzero(apart) + 1)
-
-
-def _apart(one: Trajectory, other: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """Metres and radians between n pairs of poses, (n,) each."""
-    metres = np.linalg.norm(one.positions_xyz - other.positions_xyz, axis=1)
-    return metres, angle_between_quats(one.orientations_quat_wxyz, other.orientations_quat_wxyz)

@@ -56,6 +56,7 @@ def write_page(path: Path, content: ReportContent) -> None:
         "page",
         title=content.title,
         content=content,
+        record=content.metrics,
         viewer=content.viewer,
         errors=ordered,
         baseline=baseline,

@@ -16,7 +16,6 @@ from conformodal.localizer.region_rules import EvidenceType
 
 Intervals = list[list[float | None]]
 _MOST_BOXES = 64  # of a region that is a product
-_UNUSABLE = ("lost", "too_few_corners", "inconsistent")  # motion
 
 
 def page_frame(
@@ -93,25 +92,19 @@ def describe_run(kinds: Mapping[str, int], n_bounded: int, n_held: int, rmse_m: 
 
 def _describe_frame(frame: dict[str, Any], *, holds_pose: bool) -> str:
     """A frame in words: the region first, then the chosen pose."""
-    parts, kind, n_places = frame["iv"], kind_of(frame), len(frame["bx"])
+    kind = kind_of(frame)
     bounded = kind in ("one place", "several places")
     if bounded:
-        open_axes = [axis for axis, intervals in zip("xyz", parts, strict=True) if inf in _lengths(intervals)]
-        size = " x ".join(f"{max(_lengths(intervals)):.3f}" for intervals in parts)
-        size = f"without bounds along {', '.join(open_axes)}" if open_axes else f"{size} m at most"
-        lines = [f"The region names {counted(n_places, 'place')}, {size}."]
+        size = " x ".join(f"{max(_lengths(intervals)):.3f}" for intervals in frame["iv"])
+        lines = [f"The region names {counted(len(frame['bx']), 'place')}, {size} m at most."]
+        if not holds_pose:
+            lines.append("The chosen pose lies outside it.")
     else:
         p = "" if frame["kp"] is None else f" (p = {frame['kp']:.2g})"
         lines = [f"Unknown place{p}: the region is unbounded." if kind == "unknown place" else f"The region is {kind}."]
-    if bounded and not holds_pose:
-        lines.append("The chosen pose lies outside it.")
     if "truth" in frame:
         held = f", which the region {'contains' if frame['held'] else 'misses'}" if bounded else ""
         lines.append(f"The chosen pose is {frame['err']:.3f} m and {frame['deg']:.2f} degrees from the true one{held}.")
-    if "pp" in frame and not frame["ok"] and kind != "unknown place":
-        lines.append(f"When the frame came, its most probable place had a probability of {frame['pp']:.3f}.")
-    if frame["m"] in _UNUSABLE and kind != "unknown place":
-        lines.append(f"The motion since the frame before is not reliable ({frame['m'].replace('_', ' ')}).")
     return " ".join(lines)
 
 

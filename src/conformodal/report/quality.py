@@ -30,21 +30,20 @@ def quality_plan(quality: RecordingQuality) -> str | None:
     """The recording seen along the axis that it spreads least along, as SVG text; None where it has no poses."""
     if quality.poses is None or quality.coverage is None:
         return None
-    axes = quality.axes
-    flat = quality.poses.positions_xyz[:, axes]
+    flat = quality.poses.positions_xyz[:, quality.axes]
     width, height = np.maximum(np.ptp(flat, axis=0), 1e-6)
     tall = float(np.clip(_LONGEST * height / width, _SHORTEST, _LONGEST))
     figure = Figure(figsize=(10, tall + 1.2), layout="constrained")
     axis = figure.subplots()
     for rows in rows_by_label(quality.sequence.recording[quality.posed]):
         axis.plot(*flat[rows].T, "-", lw=1, color=PATH, alpha=0.6, zorder=1)
-    axis.annotate("start", flat[0], xytext=(-6, -14), textcoords="offset points", fontsize="small", zorder=6)
+    note: dict[str, Any] = {"textcoords": "offset points", "fontsize": "small", "zorder": 6}
+    axis.annotate("start", flat[0], xytext=(-6, -14), **note)
     sparse, ambiguous = quality.coverage.sparse_frames, np.zeros(len(flat), dtype=np.bool_)
     if quality.ambiguity is not None:
         ambiguous = np.isin(quality.posed, quality.ambiguity.frames[quality.ambiguity.n_places > 1])
-    good = ~sparse & ~ambiguous
     marks: list[tuple[BoolArray, str, dict[str, Any]]] = [
-        (good, "well covered", {"marker": ".", "ms": 5, "color": GOOD}),
+        (~sparse & ~ambiguous, "well covered", {"marker": ".", "ms": 5, "color": GOOD}),
         (ambiguous, "ambiguous", {"marker": "s", "ms": 9, "mfc": "none", "mew": 1.4, "color": AMBIGUOUS}),
         (sparse, "sparsely covered", {"marker": "x", "ms": 6, "mew": 1.6, "color": SPARSE}),
     ]
@@ -55,20 +54,14 @@ def quality_plan(quality: RecordingQuality) -> str | None:
         name = f"fast motion ({len(quality.coverage.fast)})" if number == 0 else None
         fast = (quality.posed >= one.first) & (quality.posed <= one.last)
         axis.plot(*flat[fast].T, "--", lw=2, color=FAST, label=name, zorder=1.5)
+    box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": SPARSE, "lw": 0.8, "alpha": 0.85}
     for one in quality.coverage.sparse:
-        axis.annotate(
-            f"{one.first}-{one.last}",
-            np.array(one.place_xyz)[list(axes)].tolist(),
-            xytext=(8, 8),
-            textcoords="offset points",
-            fontsize="small",
-            bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": SPARSE, "lw": 0.8, "alpha": 0.85},
-            zorder=6,
-        )
+        place = np.array(one.place_xyz)[list(quality.axes)].tolist()
+        axis.annotate(f"{one.first}-{one.last}", place, xytext=(8, 8), bbox=box, **note)
     axis.set_aspect("equal", adjustable="datalim")
     axis.margins(0.08)
-    axis.set_xlabel(f"{'xyz'[axes[0]]} (m)")
-    axis.set_ylabel(f"{'xyz'[axes[1]]} (m)")
+    first, second = (f"{'xyz'[k]} (m)" for k in quality.axes)
+    axis.set(xlabel=first, ylabel=second)
     figure.legend(loc="outside upper center", ncols=3, frameon=False)
     return as_svg(figure)
 
@@ -85,19 +78,14 @@ def write_quality_page(
         (folder / name).unlink(missing_ok=True)
     if plan is not None:
         write_whole(folder / PLAN, plan)
-    if quality is None:
-        return
-    parts = record["quality"]
-    rows = [(kind, row) for kind in ("sparse", "fast") for row in parts.get(kind, [])]
-    rows += [("ambiguous", row) for row in parts.get("ambiguity", {}).get("stretches", [])]
-    render_page(
-        folder / PAGE,
-        "quality",
-        title=f"Is {quality.sequence.name} good enough?",
-        quality=parts,
-        plan=plan,
-        rows=sorted(rows, key=lambda row: row[1]["first"]),
-        findings=findings,
-        made={key: record[key] for key in ("provenance", "configuration")},
-        sparse_share=round(100 * QUALITY.sparse),
-    )
+    if quality is not None:
+        render_page(
+            folder / PAGE,
+            "quality",
+            title=f"Is {quality.sequence.name} good enough?",
+            quality=record["quality"],
+            plan=plan,
+            findings=findings,
+            record=record,
+            sparse_share=round(100 * QUALITY.sparse),
+        )

@@ -1,7 +1,8 @@
-"""Pictures of a table's regions and of their coverage, on axes of matplotlib."""
+"""Pictures of a table's regions and of their coverage, by matplotlib."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,15 +11,15 @@ import numpy.typing as npt
 from conformodal.conformal import ConformodalError, Diagnosis, PredictiveDensity, Regions
 from conformodal.conformal.checks import as_count, as_finite, as_targets
 from conformodal.core.extras import require_extra
+from conformodal.core.files import replacing
+from conformodal.core.words import counted
 
-from .diagnosis import OUTSIDE, draw_column
-
-with require_extra("figures", "pictures of regions"):
+with require_extra("figures", "a picture of regions or coverage"):
     from matplotlib.axes import Axes
     from matplotlib.collections import PolyCollection
     from matplotlib.figure import Figure
 
-_SET = "#56B4E9"
+_SET, _INSIDE, _OUTSIDE = "#56B4E9", "#0072B2", "#D55E00"
 _DARKEST = 0.98  # quantile of the densities that is drawn darkest: narrow bins have peaks
 _MARGIN = 0.05
 
@@ -84,7 +85,7 @@ def draw_regions(
         values = as_targets(y, regions.bins.n_targets)
         inside, truth = regions.contains(values)[:, target], values[:, target]
         ax.plot(at[inside], truth[inside], ".", ms=3, color="black", label="inside its set")
-        ax.plot(at[~inside], truth[~inside], "x", ms=5, color=OUTSIDE, label="outside")
+        ax.plot(at[~inside], truth[~inside], "x", ms=5, color=_OUTSIDE, label="outside")
         shown.append(truth)
     values = np.concatenate(shown)
     reach = _MARGIN * (np.ptp(values) or 1.0)
@@ -96,8 +97,6 @@ def draw_regions(
 
 def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None) -> Axes:
     """Draw one guarantee's coverage, of all samples, by size and by group, beside its bands.
-
-    For an example see ``docs/tutorial.md``; :func:`~conformodal.draw_diagnosis` draws all guarantees.
 
     Parameters
     ----------
@@ -112,5 +111,46 @@ def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None)
         raise ConformodalError(f"diagnosis must be a Diagnosis, got {type(diagnosis).__name__}")
     guarantee = diagnosis.columns[as_count(column, "column", 0, len(diagnosis.columns) - 1)]
     ax = Figure(layout="constrained").subplots() if ax is None else ax
-    draw_column(ax, guarantee)
+    rows, whole = guarantee.rows()[::-1], guarantee.coverage
+    for i, (_, check) in enumerate(rows):
+        ax.barh(i, check.high - check.low, left=check.low, height=0.6, color=_SET, alpha=0.5)
+        ax.plot(check.coverage, i, "o" if check.inside else "X", color=_INSIDE if check.inside else _OUTSIDE)
+    ax.axvline(whole.rank / (whole.n_calibration + 1), color="black", lw=0.8, ls="--")
+    ax.set_yticks(range(len(rows)), [f"{label} ({check.n_test})" for label, check in rows])
+    ax.set_xlim(right=1.005)
+    ax.set_xlabel(f"coverage; bars are {whole.level:.0%} bands, crosses lie outside")
+    ax.set_title(f"coverage of {guarantee.name}", fontsize="medium")
     return ax
+
+
+def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figure:
+    """Draw a diagnosis: the coverages of all guarantees beside their bands, see :func:`draw_coverage`.
+
+    For an example see ``docs/tutorial.md``. `path` is where to write it, if anywhere; the suffix says as what
+    (``.svg``, ``.png``, ``.pdf``).
+    """
+    heights = [1.2 + 0.28 * len(column.rows()) for column in diagnosis.columns]
+    figure = Figure(figsize=(8, sum(heights) + 1.2), layout="constrained")
+    axes = figure.subplots(len(heights), squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
+    for j, ax in enumerate(axes):
+        draw_coverage(diagnosis, j, ax)
+    sizes = "; ".join(
+        f"{name}: mean length {s.mean:.3g}, {s.intervals:.2f} intervals"
+        for name, s in zip(diagnosis.names, diagnosis.sizes, strict=True)
+    )
+    figure.suptitle(
+        f"Conformal sets, alpha = {diagnosis.alpha}, score {diagnosis.score}, joint {diagnosis.joint}; "
+        f"{diagnosis.n_calibration} calibration, {counted(diagnosis.n_test, 'test sample')}, taken to be "
+        f"exchangeable\n{sizes}",
+        fontsize="medium",
+        wrap=True,
+    )
+    if path is not None:
+        save_picture(figure, Path(path))
+    return figure
+
+
+def save_picture(figure: Figure, path: Path) -> None:
+    """Write a figure as what its suffix says, marked as a picture of this package."""
+    with replacing(path) as part:
+        figure.savefig(part, format=path.suffix[1:] or None, metadata={"Creator": "conformodal"})
