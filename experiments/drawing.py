@@ -46,7 +46,7 @@ class StoredRun:
 
         Raises
         ------
-        ResultsError, TrajectoryFileError
+        ResultsError, DatasetError
             If files are missing or damaged, or differ in length.
         """
         found = cls(

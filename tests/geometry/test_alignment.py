@@ -16,7 +16,13 @@ from conformodal.geometry import (
 )
 from conformodal.geometry.alignment import straightness, umeyama
 from conformodal.geometry.metrics import kitti_drift
-from conformodal.io.pose_files import read_kitti, read_tum
+from conformodal.io.pose_files import KITTI_RATE_HZ, kitti_table, read_tum
+
+
+def read_kitti(path):
+    rows = kitti_table(path).rows
+    return Trajectory(np.arange(len(rows)) / KITTI_RATE_HZ, rows[:, :3], rows[:, 3:])
+
 
 PAIRS = {
     "kitti00_orb": ("KITTI_00_ORB.txt", "KITTI_00_gt.txt"),

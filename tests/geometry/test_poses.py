@@ -14,8 +14,8 @@ from conformodal.geometry import (
     trajectory_errors,
 )
 from conformodal.geometry.rotations import check_rotation_matrices
-from conformodal.io.pose_files import read_euroc, read_kitti, read_tum, write_tum
-from conformodal.io.pose_text import TrajectoryFileError
+from conformodal.io import DatasetError
+from conformodal.io.pose_files import KITTI_RATE_HZ, euroc_table, kitti_table, read_tum, write_tum
 
 
 def random_trajectory(n=20, seed=0):
@@ -121,6 +121,16 @@ def write_euroc(file, path):
     file.write_text("#h\n" + "".join(f"{round(t * 1e9)},{','.join(map(str, (*p, *q)))}\n" for t, p, q in rows))
 
 
+def read_kitti(file):
+    rows = kitti_table(file).rows
+    return Trajectory(np.arange(len(rows)) / KITTI_RATE_HZ, rows[:, :3], rows[:, 3:])
+
+
+def read_euroc(file):
+    rows = euroc_table(file).rows
+    return Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
+
+
 FORMATS = {"tum": (read_tum, write_tum), "kitti": (read_kitti, write_kitti), "euroc": (read_euroc, write_euroc)}
 
 
@@ -159,9 +169,9 @@ READ_DAMAGED = [(read, content) for read in (read_tum, read_kitti, read_euroc) f
 @pytest.mark.parametrize(("read", "content"), [*READ_DAMAGED, (read_kitti, STRETCHED)])
 def test_damaged_files_are_named(tmp_path, read, content):
     (tmp_path / "file").write_text(content)
-    with pytest.raises(TrajectoryFileError, match="file"):
+    with pytest.raises(DatasetError, match="file"):
         read(tmp_path / "file")
-    with pytest.raises(TrajectoryFileError, match="missing"):
+    with pytest.raises(DatasetError, match="missing"):
         read(tmp_path / "missing")
 
 

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.geometry import PinholeCamera
 from conformodal.io import DatasetError, DatasetWarning, FrameTable, Layout, Reader, read_recording, readers, registry
 from conformodal.io.lenses import as_camera
-from conformodal.io.pose_files import read_tum
-from conformodal.io.pose_text import lost_faults, matrix_faults, unpadded_doubt
+from conformodal.io.pose_files import lost_faults, matrix_faults, read_tum, unpadded_doubt
 from conformodal.io.reading import by_name, natural_key
 
 from .test_layouts import PLACES, QUATS, WRITERS, N, matrices, picture

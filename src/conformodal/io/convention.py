@@ -13,7 +13,7 @@ from conformodal.geometry import Trajectory, cross_matrices
 from conformodal.geometry.lens import on_plane
 
 from .errors import DatasetError, ImageError
-from .pose_text import table_of
+from .pose_files import table_of
 from .reading import Note
 from .recording import Recording
 

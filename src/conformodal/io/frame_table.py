@@ -17,7 +17,7 @@ import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.words import counted
-from conformodal.geometry import PinholeCamera, PoseError, Trajectory, poses_at
+from conformodal.geometry import PinholeCamera, Trajectory, poses_at
 from conformodal.geometry.lens import AnyCamera, pinhole_of
 from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, in_seconds, nearest_in_time
 
@@ -25,7 +25,7 @@ from .cameras import uncalibrated_camera
 from .decoding import TURNED, WIDEST, common_size, image_fault, is_turned, sample_wide, white_level
 from .errors import DatasetError, DatasetWarning
 from .lenses import brought
-from .pose_text import TrajectoryFileError
+from .pose_files import PoseRows
 from .reading import Note, by_what, read_numbers, readable, shown
 from .recording import Recording
 
@@ -250,32 +250,24 @@ def _out_of_order(times: FloatArray) -> IntArray:
 
 
 def paired_by_time(
-    read: Callable[[Path, Damaged, list[str]], FloatArray], path: Path, times: FloatArray, notes: list[Note]
+    read: Callable[[Path], PoseRows], path: Path, times: FloatArray, notes: list[Note]
 ) -> tuple[FloatArray, Damaged]:
     """Poses (n, 7) of frames at `times`, interpolated by time, NaN where there is none; and why there is none.
 
-    `read` gives the file's rows ``time x y z qw qx qy qz``, and adds damaged ones to its second argument and doubts to
-    its third. A frame at the time of a damaged row has no pose. A file ``max-gap.txt`` beside it holds the longest gap
-    between two poses that is bridged, in seconds, instead of 0.15.
+    `read` gives the file's rows ``time x y z qw qx qy qz``. A frame at the time of a damaged row has no pose. A file
+    ``max-gap.txt`` beside it holds the longest gap between two poses that is bridged, in seconds, instead of 0.15.
     """
     times, _ = in_seconds(times)  # of which the table tells
-    damaged: Damaged = {}
-    doubts: list[str] = []
-    try:
-        rows = read(path, damaged, doubts)
-    except TrajectoryFileError:
-        raise
-    except PoseError as exc:
-        raise DatasetError(f"{path}: {exc}") from exc
-    faults = [damaged[i] for i in sorted(damaged)]
-    rows = rows[np.isfinite(rows[:, 0])]
+    table = read(path)
+    faults = [table.damaged[i] for i in sorted(table.damaged)]
+    rows = table.rows[np.isfinite(table.rows[:, 0])]
     rows[:, 0] = _in_seconds(rows[:, 0], str(path), notes)
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     twice = np.flatnonzero((np.diff(rows[:, 0]) == 0) & (np.diff(rows, axis=0) != 0).any(axis=1))
     for t in np.unique(rows[twice, 0]):
         faults.append(f"{path}: holds two poses for time {t:.9g}")
         rows[rows[:, 0] == t, 1:] = np.nan
-    notes += [*(Note(_UNUSABLE, fault) for fault in faults), *(Note(DOUBTFUL, doubt) for doubt in doubts)]
+    notes += [*(Note(_UNUSABLE, fault) for fault in faults), *(Note(DOUBTFUL, doubt) for doubt in table.doubts)]
     sound = np.isfinite(rows).all(axis=1)
     truth = Trajectory(rows[sound, 0], rows[sound, 1:4], rows[sound, 4:])
     poses, asked = np.full((len(times), 7), np.nan), np.flatnonzero(np.isfinite(times))

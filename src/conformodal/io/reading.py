@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
 
 from .errors import DatasetError
-from .pose_text import is_header, number, text_lines
 
 Item = TypeVar("Item")
 
@@ -56,12 +57,87 @@ def shown(name: str) -> str:
     return name.encode(errors="surrogateescape").decode(errors="backslashreplace")
 
 
+def number(text: str) -> float:
+    """A number written in ASCII digits; ``float`` also takes ``1_0`` and digits of other scripts."""
+    if not text.isascii() or "_" in text:
+        raise ValueError(f"{text[:80]!r} is not a number")
+    return float(text)
+
+
+def whole_number(text: str) -> int:
+    """As :func:`number`, of an integer below 10^20."""
+    if not text.isascii() or "_" in text or len(text) > 20:
+        raise ValueError(f"{text[:80]!r} is not a whole number")
+    return int(text)
+
+
+def tokens(line: str) -> list[str]:
+    """What stands between commas, or semicolons, or blanks: one of them separates a line."""
+    separator = next((mark for mark in ",;" if mark in line), None)
+    return [token.strip() for token in line.strip().removesuffix(separator or "").split(separator)]
+
+
+def numbers_in(line: str) -> list[float]:
+    """The numbers of a line."""
+    return [number(token) for token in tokens(line)]
+
+
 def read_lines(path: Path) -> list[str]:
-    """Lines of a text file."""
+    """Lines of a text file in UTF-8, with the line ends of any system."""
     try:
-        return text_lines(path)
+        if path.exists() and not os.path.isfile(path):  # a pipe would be waited for
+            raise OSError("is not a regular file")
+        return path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, ValueError) as exc:
         raise DatasetError(f"{path}: cannot be read: {exc}") from exc
+
+
+@dataclass(frozen=True)
+class ParsedLine(Generic[Item]):
+    """A line of a file: its place, its text, and what it holds, None if it is damaged."""
+
+    where: str
+    text: str
+    value: Item | None
+
+    def fault(self, expected: str) -> str:
+        """What is wrong with a damaged line."""
+        return f"{self.where}: expected {expected}, got {self.text[:80]!r}"
+
+
+def parse_lines(path: Path, parse: Callable[[str], Item], *, by_line: bool = False) -> list[ParsedLine[Item]]:
+    """What the lines of a file hold; blank lines, those that start with ``#``, and a header of words are left out.
+
+    Parameters
+    ----------
+    parse
+        Turns a line into what it holds; raises ValueError or IndexError where it is damaged.
+    by_line
+        Whether lines belong to frames by their order: a blank line between them, or a header, is then refused.
+    """
+    parsed: list[ParsedLine[Item]] = []
+    blank = 0
+    for at, line in enumerate(read_lines(path), start=1):
+        if not line.strip():
+            blank = blank or (at if parsed else 0)
+            continue
+        if line.lstrip().startswith("#"):
+            continue
+        if by_line and blank:
+            raise DatasetError(f"{path}, line {blank}: is blank; poses belong to frames by their lines")
+        try:
+            value = parse(line)
+        except DatasetError:
+            raise
+        except (ValueError, IndexError):
+            if not parsed and line.lstrip()[:1] not in "+-.0123456789":  # begins as no number does
+                if by_line:
+                    what = "begins with a word; poses belong to frames by their lines; put # before a header"
+                    raise DatasetError(f"{path}, line {at}: {what}") from None
+                continue
+            value = None
+        parsed.append(ParsedLine(f"{path}, line {at}", line, value))
+    return parsed
 
 
 def read_numbers(path: Path) -> FloatArray:
@@ -118,26 +194,13 @@ def listed_images(
     path: Path, parse: Callable[[str], tuple[float, Path]], expected: str, notes: list[Note]
 ) -> tuple[list[Path], FloatArray]:
     """Images and times of a list with one per line; damaged lines are left out and told."""
-    images: list[Path] = []
-    stamps: list[float] = []
-    faults: list[str] = []
-    for at, line in enumerate(read_lines(path), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        try:
-            stamp, image = parse(line)
-        except DatasetError:
-            raise
-        except (ValueError, IndexError):
-            if images or faults or not is_header(line):
-                faults.append(f"{path}, line {at}: expected {expected}, got {line[:80]!r}")
-            continue
-        stamps.append(stamp)
-        images.append(image)
-    if not images:
+    lines = parse_lines(path, parse)
+    listed = [line.value for line in lines if line.value is not None]
+    faults = [line.fault(expected) for line in lines if line.value is None]
+    if not listed:
         raise DatasetError(faults[0] if faults else f"{path}: lists no image")
     notes += [Note("left out, line cannot be read", fault) for fault in faults]
-    return images, np.array(stamps)
+    return [image for _, image in listed], np.array([time for time, _ in listed])
 
 
 def rows_of(images: list[Path], n_rows: int, path: Path, what: str) -> IntArray:

@@ -28,7 +28,6 @@ from .cameras import INTRINSICS
 from .convention import with_fitted_focal
 from .errors import DatasetError
 from .frame_table import FrameTable
-from .pose_text import TrajectoryFileError
 from .reading import SUFFIXES, image_files, readable, shown
 from .recording import Recording
 
@@ -197,8 +196,6 @@ def read_recording(
         recording = table.to_recording(
             require_poses=require_poses or focal == "auto", follow_outside=follow_outside, focal=_focal_px(focal)
         )
-    except TrajectoryFileError as exc:
-        raise DatasetError(str(exc)) from exc
     except (OSError, UnicodeError, PoseError) as exc:
         raise DatasetError(shown(f"{folder}: cannot be read: {exc}")) from exc
     return with_fitted_focal(recording) if focal == "auto" else recording

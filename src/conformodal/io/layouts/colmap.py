@@ -18,7 +18,7 @@ from conformodal.io.cameras import UNDISTORT, Size, camera_of, fisheye_of
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import DOUBTFUL, Damaged, FrameTable
-from conformodal.io.pose_text import length_doubt, pose_faults, table_of
+from conformodal.io.pose_files import length_doubt, pose_faults, table_of
 from conformodal.io.reading import Note, by_name, file_named, image_files, natural_key, times_by_folder
 
 from .colmap_files import ColmapCamera, ColmapModel, model_suffixes, read_model

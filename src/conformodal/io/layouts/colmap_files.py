@@ -11,8 +11,7 @@ from typing import Any
 from conformodal.core.extras import require_extra
 from conformodal.io.cameras import Size
 from conformodal.io.errors import DatasetError
-from conformodal.io.pose_text import number, whole_number
-from conformodal.io.reading import read_lines
+from conformodal.io.reading import number, read_lines, whole_number
 
 _POINTS = re.compile(r"[0-9eE+\-. \tnaifNAIF]*")  # numbers alone; an image's name has a letter that no number has
 _IMAGE = "'id qw qx qy qz tx ty tz camera name'"

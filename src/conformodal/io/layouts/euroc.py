@@ -18,9 +18,8 @@ from conformodal.io.cameras import UNDISTORT, Size, camera_of, fisheye_of
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import Damaged, FrameTable, paired_by_time
-from conformodal.io.pose_files import euroc_table
-from conformodal.io.pose_text import matrices_of, matrix_faults, number, table_of, whole_number
-from conformodal.io.reading import MALFORMED, Note, file_named, listed_images, read_lines
+from conformodal.io.pose_files import euroc_table, matrices_of, matrix_faults, table_of
+from conformodal.io.reading import MALFORMED, Note, file_named, listed_images, number, read_lines, whole_number
 
 _MOST_BYTES = 16_000  # a calibration has a tenth of that
 _TRUTHS = ("state_groundtruth_estimate0", "mocap0")

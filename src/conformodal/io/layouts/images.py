@@ -13,9 +13,8 @@ from conformodal.io.cameras import INTRINSICS, camera_beside
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import DOUBTFUL, Damaged, FrameTable, paired_by_time
-from conformodal.io.pose_files import kitti_table, tum_table
-from conformodal.io.pose_text import number, unpadded_doubt
-from conformodal.io.reading import SUFFIXES, Note, frame_times, image_files
+from conformodal.io.pose_files import kitti_table, tum_table, unpadded_doubt
+from conformodal.io.reading import SUFFIXES, Note, frame_times, image_files, number
 
 _TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")
 POSE_FILES = (*_TUM, *_KITTI)
@@ -72,10 +71,11 @@ def _poses(folder: Path, times: FloatArray, why: Damaged, notes: list[Note]) -> 
         rows, faults = paired_by_time(tum_table, path, times, notes)
         why |= faults
         return rows
-    rows = kitti_table(path, why)
-    if len(rows) != len(times):
-        raise DatasetError(f"{path}: holds {len(rows)} poses, but there are {len(times)} images")
-    return rows
+    table = kitti_table(path)
+    why |= table.damaged
+    if len(table.rows) != len(times):
+        raise DatasetError(f"{path}: holds {len(table.rows)} poses, but there are {len(times)} images")
+    return table.rows
 
 
 def _refuse_kinds(folder: Path, images: list[Path]) -> None:

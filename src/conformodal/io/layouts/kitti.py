@@ -15,9 +15,8 @@ from conformodal.io.cameras import camera_of, check_matrix
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import Damaged, FrameTable
-from conformodal.io.pose_files import KITTI_RATE_HZ, kitti_table
-from conformodal.io.pose_text import matrices_of, number, table_of
-from conformodal.io.reading import Note, image_files, numbers_of, read_lines, read_numbers, rows_of
+from conformodal.io.pose_files import KITTI_RATE_HZ, kitti_table, matrices_of, table_of
+from conformodal.io.reading import Note, image_files, number, numbers_of, read_lines, read_numbers, rows_of
 
 CAMERAS = ("image_2", "image_0", "image_3", "image_1")  # colour where it is there; the left one first
 
@@ -51,11 +50,10 @@ def read_kitti_odometry(folder: Path) -> FrameTable:
         poses, numbers = None, numbers_of(images)
         frames = np.arange(len(images)) if numbers is None else numbers
     else:
-        faults: Damaged = {}
-        rows = kitti_table(path, faults)
-        frames = rows_of(images, len(rows), path, "poses, but there are")
-        why |= {i: faults[row] for i, row in enumerate(frames.tolist()) if row in faults}
-        grey = matrices_of(rows[frames])
+        table = kitti_table(path)
+        frames = rows_of(images, len(table.rows), path, "poses, but there are")
+        why |= {i: table.damaged[row] for i, row in enumerate(frames.tolist()) if row in table.damaged}
+        grey = matrices_of(table.rows[frames])
         # P = K [I | offset]: where camera 0's centre lies for this one
         grey[:, :3, 3] -= grey[:, :3, :3] @ np.linalg.solve(projection[:, :3], projection[:, 3])
         poses = table_of(grey)

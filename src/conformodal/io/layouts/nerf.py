@@ -17,7 +17,7 @@ from conformodal.io.cameras import UNDISTORT, Size, camera_of, fisheye_of
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import FrameTable
-from conformodal.io.pose_text import matrix_faults, table_of
+from conformodal.io.pose_files import matrix_faults, table_of
 from conformodal.io.reading import MALFORMED, SUFFIXES, Note, by_name, file_named, read_lines, times_by_folder
 
 FILES = ("transforms.json", "transforms_train.json")

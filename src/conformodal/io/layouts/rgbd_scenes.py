@@ -15,9 +15,16 @@ from conformodal.geometry import PinholeCamera
 from conformodal.io.cameras import camera_beside
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
-from conformodal.io.frame_table import Damaged, FrameTable
-from conformodal.io.pose_text import drop_faults, length_doubt, numbers_in, pose_faults, read_rows
-from conformodal.io.reading import FRAME_RATE_HZ, Note, joined_recordings, numbered_frames, recording_folders
+from conformodal.io.frame_table import DOUBTFUL, Damaged, FrameTable
+from conformodal.io.pose_files import length_doubt, pose_faults, read_rows
+from conformodal.io.reading import (
+    FRAME_RATE_HZ,
+    Note,
+    joined_recordings,
+    numbered_frames,
+    numbers_in,
+    recording_folders,
+)
 
 CAMERA = PinholeCamera(570.3, 570.3, 320.0, 240.0, 640, 480)
 _IMAGE = re.compile(r"([0-9]{1,9})-color\.png", re.IGNORECASE)
@@ -59,13 +66,12 @@ def read_rgbd_scenes(folder: Path) -> FrameTable:
 
 def _poses(path: Path, frames: list[int], why: Damaged, first: int, notes: list[Note]) -> FloatArray:
     """Rows ``x y z qw qx qy qz`` (n, 7) of the frames, the first of which is `first` of all; its number is its line."""
-    faults: Damaged = {}
-    rows = read_rows(path, numbers_in, 7, "'qw qx qy qz x y z'", faults, by_line=True)
-    if doubt := length_doubt(path, rows, 0):
-        notes.append(Note("poses are doubtful", doubt))
-    rows = rows[:, [4, 5, 6, 0, 1, 2, 3]]
-    drop_faults(rows, pose_faults(rows[:, :3], rows[:, 3:]), path, faults)
+    table = read_rows(path, numbers_in, 7, "'qw qx qy qz x y z'", by_line=True)
+    if doubt := length_doubt(path, table.rows, 0):
+        notes.append(Note(DOUBTFUL, doubt))
+    rows = table.rows = table.rows[:, [4, 5, 6, 0, 1, 2, 3]]
+    table.drop(pose_faults(rows[:, :3], rows[:, 3:]))
     if frames[-1] >= len(rows):
         raise DatasetError(f"{path}: holds {len(rows)} poses, but there is an image {frames[-1]} (counted from 0)")
-    why |= {first + i: faults[line] for i, line in enumerate(frames) if line in faults}
+    why |= {first + i: table.damaged[line] for i, line in enumerate(frames) if line in table.damaged}
     return rows[frames]

@@ -21,7 +21,7 @@ from conformodal.io.cameras import INTRINSICS, camera_beside
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import Damaged, FrameTable
-from conformodal.io.pose_text import matrix_faults, table_of
+from conformodal.io.pose_files import matrix_faults, table_of
 from conformodal.io.reading import (
     FRAME_RATE_HZ,
     Note,

@@ -9,9 +9,8 @@ from conformodal.geometry import PinholeCamera
 from conformodal.io.cameras import camera_beside
 from conformodal.io.decoding import common_size
 from conformodal.io.frame_table import DOUBTFUL, Damaged, FrameTable, paired_by_time
-from conformodal.io.pose_files import tum_table
-from conformodal.io.pose_text import number, unpadded_doubt
-from conformodal.io.reading import Note, file_named, listed_images
+from conformodal.io.pose_files import tum_table, unpadded_doubt
+from conformodal.io.reading import Note, file_named, listed_images, number
 
 # Published calibrations of the three colour cameras; freiburg3's images have no distortion left.
 CAMERAS = {

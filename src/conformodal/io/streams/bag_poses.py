@@ -10,7 +10,7 @@ from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted
 from conformodal.geometry import Trajectory, matrix_from_quat_wxyz, poses_at, rigid_motions
 from conformodal.geometry.metrics import MAX_GAP_S
-from conformodal.io.pose_text import pose_faults
+from conformodal.io.pose_files import pose_faults
 from conformodal.io.reading import Note
 
 from .bag import BagStream, bag_reader
