@@ -39,7 +39,6 @@ class QuantileBins:
     tail
         Width, as a share of the training range, of one more bin beyond the outer bin at either end; 0 for none. A
         smooth density gives these bins little probability, so that values far out get finite scores.
-
     y_min, y_max
         Bounds that no value can pass, such as 0 for a weight: one for all targets, or one per target.
 

@@ -66,19 +66,17 @@ class SplitConformal(Calibrator):
         return n if self.units_ is None else len(factorise(self.units_)[0])
 
     @property
-    def weights(self) -> list[Fraction]:
-        """Weight of each calibration sample in exchangeable units: 1, or one over the size of its unit."""
+    def weight(self) -> Fraction:
+        """Calibration samples in exchangeable units, each one over the size of its unit.
+
+        Thresholds are finite only from ``1 / alpha_per_target - 1`` on.
+        """
         n = len(self._calibrated())
         if self.units_ is None:
-            return [Fraction(1)] * n
+            return Fraction(n)
         codes = factorise(self.units_)[1]
         sizes = np.bincount(codes)[codes] if self.unit_sizes_ is None else self.unit_sizes_
-        return [Fraction(1, size) for size in sizes.tolist()]
-
-    @property
-    def weight(self) -> Fraction:
-        """Sum of :attr:`weights`: thresholds are finite only from ``1 / alpha_per_target - 1`` on."""
-        return sum(self.weights, Fraction(0))
+        return sum((Fraction(1, size) for size in sizes.tolist()), Fraction(0))
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, units: npt.ArrayLike | None = None) -> Self:
         """Score the calibration samples and set the thresholds.

@@ -44,10 +44,8 @@ class QuickDensity(MixtureDensity):
     ----------
     max_rows
         Rows that are learnt from, drawn at random if there are more.
-    random_state
-        Seed, or None.
-    n_jobs
-        Parallel jobs of the forests, as in scikit-learn.
+    random_state, n_jobs
+        Seed, or None; parallel jobs of the forests, as in scikit-learn.
 
     Attributes
     ----------

@@ -34,10 +34,8 @@ class StackedDensity(MixtureDensity):
     ----------
     n_trees
         Trees of each of the forests.
-    random_state
-        Seed, or None.
-    n_jobs
-        Parallel jobs of forests and networks, as in scikit-learn.
+    random_state, n_jobs
+        Seed, or None; parallel jobs of forests and networks, as in scikit-learn.
 
     Attributes
     ----------

@@ -173,21 +173,15 @@ def diagnose(
     ----------
     calibrator
         Calibrated.
-    proba
-        (n, d, K), or a list of d arrays (n, K_d), of the test samples.
-    y
-        (n, d) true values, or (n,) for one target.
+    proba, y
+        Of the test samples: (n, d, K) or a list of d arrays (n, K_d); true values (n, d), or (n,) for one target.
     X
         (n, p) inputs, to search for the worst slab.
     groups
         (n,) labels, to check group by group. A :class:`~conformodal.conformal.MondrianConformal` needs them: bands are
         then those of its groups, and neither sizes nor slabs are checked.
-    names
-        Names of the targets.
-    level
-        Probability of every band.
-    random_state
-        Seed of the slab search.
+    names, level, random_state
+        Names of the targets, probability of every band, and seed of the slab search.
 
     Examples
     --------
