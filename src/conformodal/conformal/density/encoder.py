@@ -130,7 +130,7 @@ class TableEncoder:
         columns = columns_of(X, [j for j, learnt in enumerate(self.columns_) if isinstance(learnt, list)])
         if len(columns) != len(self.columns_):
             raise ConformodalError(f"X has {len(columns)} columns, expected {len(self.columns_)}")
-        parts: list[FloatArray] = [np.empty((X.shape[0], 0))]
+        parts: list[FloatArray] = [np.empty((len(X), 0))]
         for (name, values), learnt in zip(columns, self.columns_, strict=True):
             if learnt is None:
                 parts.append(np.zeros(len(values)))
