@@ -258,7 +258,7 @@ class Odd:
         return self.give(1 - proba)
 
 
-@pytest.mark.parametrize("give", [lambda s: s * np.nan, lambda s: s[:, :1], lambda s: s + 0j], ids=str)
+@pytest.mark.parametrize("give", [lambda s: s * np.nan, lambda s: s[:, :1], lambda s: s + 0j])
 def test_custom_scores_are_checked(give):
     odd = cm.SplitConformal(BINS, 0.1, Odd(give))
     for call in (lambda: odd.regions_at(P, [0.5, 0.5]), lambda: odd.calibrate(P, Y)):
