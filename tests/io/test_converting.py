@@ -95,7 +95,6 @@ KNOWABLE = {
         "no frame has a pose by its time",
     ),
     "a layout that is read only": (lambda s: s, {"layout": Layout.KITTI}, "layout must be"),
-    "colmap without poses": (lambda s: s, {"layout": Layout.COLMAP, "poses": None}, "colmap needs poses"),
     "a folder that is full": (lambda s: s, {"out": "full"}, "not empty"),
     "a file": (lambda s: s, {"out": "file"}, "is a file"),
     "below a file": (lambda s: s, {"out": "file/out"}, "cannot be written"),

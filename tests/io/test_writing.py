@@ -7,10 +7,8 @@ import pytest
 from PIL import Image
 
 from conformodal.geometry import Trajectory
-from conformodal.io import DatasetWarning, Layout, check_recording, read_recording
-from conformodal.io.convert import write_layout
+from conformodal.io import DatasetWarning, check_recording, read_recording
 from conformodal.io.pose_files import write_tum
-from conformodal.io.streams.stored import RecordingStream
 from conformodal.io.streams.video import open_video
 from tests.helpers import invoke, refusal, run_ok
 
@@ -80,7 +78,7 @@ def test_check_finds_what_is_wrong(tmp_path):
 
 @pytest.mark.parametrize("what", ["gap", "picture", "scaled"])
 def test_what_is_only_worth_knowing_does_not_fail_a_check(tmp_path, what):
-    before = scene(tmp_path / "a", n=12)
+    scene(tmp_path / "a", n=12, lens=False)
     folder, paths = tmp_path / "a", sorted((tmp_path / "a").glob("*.png"))
     (folder / "poses.tum").unlink()
     if what == "picture":
@@ -89,9 +87,9 @@ def test_what_is_only_worth_knowing_does_not_fail_a_check(tmp_path, what):
         for path in paths[9:]:
             path.rename(path.with_name(f"{float(path.stem) + 2:.6f}.png"))
     else:
-        folder = tmp_path / "b"
-        write_layout(folder, Layout.COLMAP, RecordingStream(before), before.camera, before.truth)
-        (folder / "sparse" / "0" / "cameras.txt").write_text("1 PINHOLE 128 96 80 82 64 48\n")
+        (folder / "camera-intrinsics.txt").unlink()
+        frames = [{"file_path": path.name} for path in paths]
+        (folder / "transforms.json").write_text(json.dumps({"fl_x": 80, "w": 128, "h": 96, "frames": frames}))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DatasetWarning)
         found = check_recording(read_recording(folder, require_poses=False))

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from conformodal.core.arrays import FloatArray
-from conformodal.io.staging import staged
+from conformodal.io.folders import staged
 
 from .path import FRAME_RATE_HZ, drone_path
 from .render import Renderer

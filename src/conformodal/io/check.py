@@ -9,13 +9,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from conformodal.io.layouts.euroc import SHIFTED
-
 from .cameras import OF_LAYOUT, SCALED, UNDISTORTED
 from .convention import AS_GIVEN, fitting_convention
 from .decoding import TURNED
 from .errors import ImageError
 from .frame_table import CONVERTED, INTERPOLATED, SCALED_BITS
+from .layouts.euroc import SHIFTED
 from .lenses import OTHER_CAMERA
 from .reading import by_what
 from .recording import Recording
@@ -93,7 +92,13 @@ def check_recording(sequence: Recording, progress: Callable[[int, int], None] | 
         if speed.size:
             jumps = (speed > _JUMP * np.median(speed)) & (lengths > _LEAST_JUMP_M)
             add(f"position jumps, more than {_JUMP:g} times as fast as usual, before", (linked[jumps] + 1).tolist())
-        findings += _doubts_of_convention(sequence)
+        best, shares = fitting_convention(sequence)
+        if best != AS_GIVEN:
+            most, as_read = 100 * max(shares.values()), 100 * shares[AS_GIVEN]
+            where = (
+                f"{most:.0f} % of the matched corners lie within 2 px of their epipolar line, as read {as_read:.0f} %"
+            )
+            findings.append(Finding(f"poses fit the images as {best}, and are read as {AS_GIVEN}", 1, where))
     digests, problems = _decode_all(sequence, progress)
     if problems:
         findings.append(Finding("image cannot be read", len(problems), problems[0]))
@@ -111,15 +116,6 @@ def check_recording(sequence: Recording, progress: Callable[[int, int], None] | 
         path_m=path,
         findings=findings,
     )
-
-
-def _doubts_of_convention(sequence: Recording) -> list[Finding]:
-    best, shares = fitting_convention(sequence)
-    if best == AS_GIVEN:
-        return []
-    most, as_read = 100 * max(shares.values()), 100 * shares[AS_GIVEN]
-    where = f"{most:.0f} % of the matched corners are within 2 px of their epipolar line, as read {as_read:.0f} %"
-    return [Finding(f"poses fit the images as {best}, and are read as {AS_GIVEN}", 1, where)]
 
 
 def _decode_all(sequence: Recording, progress: Callable[[int, int], None] | None) -> tuple[list[bytes], list[str]]:

@@ -12,7 +12,7 @@ from PIL import Image
 
 from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted
-from conformodal.geometry import PinholeCamera, Trajectory, matrix_from_quat_wxyz, poses_at
+from conformodal.geometry import PinholeCamera, Trajectory, poses_at
 from conformodal.geometry.metrics import MAX_GAP_S, clock_hint
 from conformodal.io.streams.frames import Frame, FrameStream
 from conformodal.io.streams.stored import RecordingStream
@@ -20,14 +20,13 @@ from conformodal.io.streams.stored import RecordingStream
 from .cameras import DISTORTION, INTRINSICS
 from .decoding import is_turned
 from .errors import DatasetError
+from .folders import staged
 from .registry import Layout
-from .staging import staged
 
 # Where images go, and how they are named: by number, or time in seconds.
 _PLACES: dict[str, tuple[str, str]] = {
     Layout.TUM: ("rgb", "{time_s:.6f}"),
     Layout.IMAGES: ("", "{number:06d}"),
-    Layout.COLMAP: ("images", "{number:06d}"),
 }
 WRITABLE = tuple(_PLACES)
 _MOST_NAMES = 20
@@ -62,13 +61,11 @@ def write_layout(
     Raises
     ------
     DatasetError
-        If the folder holds something, the layout cannot be written or cannot hold several recordings or no poses, a
-        name would be used twice, or nothing is left to write.
+        If the folder holds something, the layout cannot be written or cannot hold several recordings, a name would be
+        used twice, or nothing is left to write.
     """
     if layout not in WRITABLE:
         raise DatasetError(f"layout must be one of {', '.join(WRITABLE)}, got {layout!r}")
-    if poses is None and layout == Layout.COLMAP:
-        raise DatasetError(f"{layout} needs poses")
     if isinstance(stream, RecordingStream):  # what is known before the first frame is read
         if len(np.unique(stream.sequence.recording)) > 1:
             raise DatasetError(f"{stream.name}: holds several recordings; convert one at a time")
@@ -160,42 +157,20 @@ def _write_beside(
     layout: str, folder: Path, names: list[str], times: FloatArray, rows: FloatArray, camera: PinholeCamera
 ) -> None:
     """Write what a layout has beside its images: times, camera, poses (n, 7)."""
-    at = np.flatnonzero(np.isfinite(rows).all(axis=1))
-    truth = Trajectory(times[at], rows[at, :3], rows[at, 3:])
     if layout == Layout.TUM:
         lines = [f"{time:.9f} rgb/{name}" for time, name in zip(times.tolist(), names, strict=True)]
         _write_lines(folder / "rgb.txt", ["# timestamp filename", *lines])
     else:
         np.savetxt(folder / "times.txt", times, fmt="%.9f")
-    if layout == Layout.COLMAP:
-        _write_colmap(folder / "sparse" / "0", [names[i] for i in at], truth, camera)
-        return
     np.savetxt(folder / INTRINSICS, camera.matrix)
     if camera.distortion:
         np.savetxt(folder / DISTORTION, camera.distortion)
-    if len(truth):
+    if np.isfinite(rows).any():
         # a frame without a pose has a row of NaN: else one between its neighbours' would be read back for it
         poses = np.column_stack((rows[:, :3], np.roll(rows[:, 3:], -1, axis=1))).tolist()
         lines = [f"{time:.9f} {' '.join(map(repr, row))}" for time, row in zip(times.tolist(), poses, strict=True)]
         name = "groundtruth.txt" if layout == Layout.TUM else "poses.tum"
         _write_lines(folder / name, ["# timestamp tx ty tz qx qy qz qw", *lines])
-
-
-def _write_colmap(place: Path, names: list[str], truth: Trajectory, camera: PinholeCamera) -> None:
-    """Write a model of one camera with its images' poses into a new folder, as text."""
-    values = [float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)]
-    model = {0: "PINHOLE", 4: "OPENCV", 5: "FULL_OPENCV"}[len(camera.distortion)]
-    values += [0.0] * 3 if model == "FULL_OPENCV" else []
-    back = truth.orientations_quat_wxyz * (1, -1, -1, -1)
-    shifts = -np.einsum("nij,nj->ni", matrix_from_quat_wxyz(back), truth.positions_xyz)
-    lines = ["# id qw qx qy qz tx ty tz camera name, world to camera; after it a line of points, here empty"]
-    for number, (name, row) in enumerate(zip(names, np.column_stack((back, shifts)).tolist(), strict=True), start=1):
-        lines += [f"{number} {' '.join(map(repr, row))} 1 {name}", ""]
-    place.mkdir(parents=True)
-    one_camera = f"1 {model} {camera.width} {camera.height} {' '.join(map(repr, values))}"
-    _write_lines(place / "cameras.txt", ["# id model width height parameters", one_camera])
-    _write_lines(place / "images.txt", lines)
-    _write_lines(place / "points3D.txt", ["# holds no point"])
 
 
 def _write_lines(path: Path, lines: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""Folders of results, which one process writes at a time."""
+"""Folders to write in: locked, so that one process writes at a time, or filled beside their place."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from pathlib import Path
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
 from conformodal.core.files import PART
+
+from .errors import DatasetError
 
 LOCK = ".lock"
 _PROBE_BYTES = 1 << 20
@@ -88,3 +90,22 @@ def locked(file: Path) -> Iterator[None]:
             with suppress(OSError):
                 file.unlink()
         lock.release()
+
+
+@contextmanager
+def staged(folder: Path) -> Iterator[Path]:
+    """Write into a temporary folder beside a new or empty one, and move it into its place at the end."""
+    try:
+        folder = folder.resolve()
+        if folder.exists() and not folder.is_dir():
+            raise DatasetError(f"{folder}: is a file, expected a new or empty folder")
+        if folder.exists() and any(folder.iterdir()):
+            raise DatasetError(f"{folder}: is not empty")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as scratch:
+            part = Path(scratch) / folder.name
+            part.mkdir()
+            yield part
+            part.replace(folder)  # which fails if another process has filled it
+    except OSError as exc:
+        raise DatasetError(f"{folder}: cannot be written: {exc}") from exc
