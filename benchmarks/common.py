@@ -81,7 +81,7 @@ def part_of(sequence: Recording, frames: npt.NDArray[np.int64], **changes: Any) 
         image_paths=tuple(sequence.image_paths[i] for i in frames.tolist()),
         timestamps_s=sequence.timestamps_s[frames],
         recording=sequence.recording[frames],
-        truth=None if sequence.truth is None else sequence.truth[frames],
+        poses=None if sequence.truth is None else sequence.truth[frames],
         given_test=None,
         **changes,
     )

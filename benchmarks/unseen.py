@@ -112,7 +112,7 @@ def foreign(scratch: Path) -> Iterator[tuple[str, Recording]]:
     for name, folder in folders.items():
         other = read_recording(folder)
         frames = np.arange(min(N_FLIGHT, len(other)))
-        yield name, replace(changed(other, frames, resized, scratch / name), truth=None)
+        yield name, replace(changed(other, frames, resized, scratch / name), poses=None)
 
 
 def resized(image: np.ndarray, _: int) -> np.ndarray:
@@ -163,7 +163,7 @@ def corridor_flights(seed: int, scratch: Path) -> tuple[Recording, dict[str, Rec
         flights[name] = read_recording(folder.parent)
     truth = flights[WING].require_truth()
     behind = np.array([world.length, 0.0, 0.0])  # the wing lies behind the end of the hall
-    flights[WING] = replace(flights[WING], truth=replace(truth, positions_xyz=truth.positions_xyz + behind))
+    flights[WING] = replace(flights[WING], poses=replace(truth, positions_xyz=truth.positions_xyz + behind))
     return sequence, flights
 
 

@@ -113,7 +113,7 @@ def test_images_that_colmap_has_no_pose_for_are_frames_without_one_and_folders_a
     assert [path.name for path in whole.image_paths][:3] == ["0000.png", "0001.png", "0001b.png"]
     assert whole.recording.tolist() == [0, 0, 0, 0, 1, 1]
     assert whole.posed.tolist() == [0, 1, 3, 4, 5]
-    np.testing.assert_allclose(whole.known_poses.poses_se3, matrices(), atol=1e-9)
+    np.testing.assert_allclose(whole.poses.poses_se3, matrices(), atol=1e-9)
 
 
 def test_of_several_models_the_larger_is_read_and_both_are_named(tmp_path):

@@ -40,7 +40,7 @@ def test_the_convention_of_given_poses_is_told(real_data, data):
         "quaternions xyzw, as COLMAP's world-to-camera": inverse(reordered(inverse(given), False)),
     }
     for best, poses in made.items():  # whatever they were made to be, what undoes it is named
-        changed = replace(recording, truth=Trajectory.from_poses_se3(recording.timestamps_s, poses))
+        changed = replace(recording, poses=Trajectory.from_poses_se3(recording.timestamps_s, poses))
         assert fitting_convention(changed)[0] == best
 
 

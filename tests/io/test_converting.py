@@ -46,7 +46,7 @@ def test_frames_with_a_pose_keep_it_and_the_others_are_named(tmp_path, layout, t
     assert [int(after.image(k)[0, 0, 0]) for k in range(len(kept))] == [10 * i for i in kept]
     whole = read_recording(tmp_path / "b", to, require_poses=False)
     assert [int(whole.image(k)[0, 0, 0]) for k in range(len(whole))] == [10 * i for i in range(N)]
-    np.testing.assert_array_equal(whole.known_poses.timestamps_s, after.timestamps_s)
+    np.testing.assert_array_equal(whole.poses.timestamps_s, after.timestamps_s)
 
 
 class Failing:

@@ -18,8 +18,7 @@ def part(sequence, first, last, **changes):
         image_paths=sequence.image_paths[rows],
         timestamps_s=sequence.timestamps_s[rows],
         recording=sequence.recording[rows] + 4,
-        truth=sequence.truth[rows],
-        known_poses=None,
+        poses=sequence.truth[rows],
     )
     return replace(own, **changes)
 
@@ -46,11 +45,11 @@ def test_a_data_set_that_tests_is_held_out_whole(sequence):
 
 
 def test_frames_without_poses_are_joined_too(sequence):
-    blind = part(sequence, 0, 5, truth=None)
+    blind = part(sequence, 0, 5, poses=None)
     whole = join_recordings([blind, part(sequence, 5, 9)])
     assert whole.truth is None
     np.testing.assert_array_equal(whole.posed, np.arange(5, 9))
-    assert join_recordings([blind, part(sequence, 5, 9, truth=None)]).poses is None
+    assert join_recordings([blind, part(sequence, 5, 9, poses=None)]).poses is None
 
 
 def test_images_of_another_camera_are_brought_to_the_first(sequence, tmp_path, monkeypatch):

@@ -314,7 +314,7 @@ def test_frames_of_nerf_without_a_matrix_are_frames_without_a_pose(tmp_path):
     with pytest.warns(DatasetWarning, match=r"0001\.png: .*transform_matrix is missing"):
         whole = read_recording(tmp_path, require_poses=False)
     assert len(whole) == N
-    np.testing.assert_allclose(whole.known_poses.positions_xyz, PLACES[[0, 2, 3, 4]], atol=1e-9)
+    np.testing.assert_allclose(whole.poses.positions_xyz, PLACES[[0, 2, 3, 4]], atol=1e-9)
     with pytest.warns(DatasetWarning, match="1 x left out, no pose"):
         assert len(read_recording(tmp_path)) == N - 1
 
@@ -328,7 +328,7 @@ def test_a_scene_without_a_pose_file_has_frames_without_poses(tmp_path):
     with pytest.warns(DatasetWarning, match=r"5 x no pose: 00000-color\.png: .*01\.pose: poses are missing"):
         whole = read_recording(tmp_path, require_poses=False)
     assert len(whole) == 2 * N
-    np.testing.assert_array_equal(whole.known_poses.timestamps_s, whole.timestamps_s[N:])
+    np.testing.assert_array_equal(whole.poses.timestamps_s, whole.timestamps_s[N:])
     with pytest.warns(DatasetWarning, match="5 x left out, no pose"):
         posed = read_recording(tmp_path)
     np.testing.assert_array_equal(posed.timestamps_s, whole.timestamps_s[N:])

@@ -74,10 +74,10 @@ def check_round_trip(source, layout):
     np.testing.assert_allclose(
         within(after.timestamps_s, recording), within(before.timestamps_s, recording), atol=digits, rtol=0
     )
-    np.testing.assert_array_equal(np.isin(after.timestamps_s, after.known_poses.timestamps_s), known)
+    np.testing.assert_array_equal(np.isin(after.timestamps_s, after.poses.timestamps_s), known)
     scale = np.abs(truth.positions_xyz).max()
-    np.testing.assert_allclose(after.known_poses.positions_xyz, truth.positions_xyz, atol=1e-12 * scale, rtol=0)
-    np.testing.assert_allclose(after.known_poses.poses_se3[:, :3, :3], truth.poses_se3[:, :3, :3], atol=1e-12)
+    np.testing.assert_allclose(after.poses.positions_xyz, truth.positions_xyz, atol=1e-12 * scale, rtol=0)
+    np.testing.assert_allclose(after.poses.poses_se3[:, :3, :3], truth.poses_se3[:, :3, :3], atol=1e-12)
     assert after.camera == before.camera
 
 

@@ -48,7 +48,7 @@ def spoil(data, kept, value):
     truth = data.sequence.require_truth()
     positions, quats = truth.positions_xyz.copy(), truth.orientations_quat_wxyz.copy()
     positions[others], quats[others] = 1e9, [0, 1, 0, 0]
-    sequence = replace(data.sequence, truth=Trajectory(truth.timestamps_s, positions, quats))
+    sequence = replace(data.sequence, poses=Trajectory(truth.timestamps_s, positions, quats))
     settings = {name: getattr(data, name) for name in ("n_bins", "training", "depth_m")}
     return SourceData(sequence, features, targets, data.sign_reference, **settings)
 

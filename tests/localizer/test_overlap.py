@@ -53,7 +53,7 @@ def test_images_that_disagree_show_no_offset():
 @pytest.mark.slow
 def test_recordings_in_two_world_frames_are_told_apart(sequence):
     same = measure_overlap(sequence, sequence, depth_m=2.5)
-    other = measure_overlap(sequence, replace(sequence, truth=in_another_frame(sequence.truth)), depth_m=2.5)
+    other = measure_overlap(sequence, replace(sequence, poses=in_another_frame(sequence.truth)), depth_m=2.5)
     assert same.share_near == 1
     assert not same.frames_differ
     assert other.frames_differ

@@ -47,7 +47,7 @@ def test_bad_sequences_are_told(redkitchen, tmp_path):
         shutil.copy(path, tmp_path)
     sequence = read_recording(tmp_path)
     with pytest.raises(PoseError):
-        measure_depths(replace(sequence, truth=None), np.arange(10))
+        measure_depths(replace(sequence, poses=None), np.arange(10))
     sequence.image_paths[3].write_bytes(b"no image")
     with pytest.raises(ImageError, match="frame-000003"):
         measure_depths(sequence, np.arange(10))

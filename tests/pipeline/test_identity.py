@@ -73,10 +73,10 @@ def test_the_digest_of_a_data_set_tells_what_results_rest_on(tmp_path):
     turned = recording.truth.orientations_quat_wxyz[::-1]
     others = (
         frames(tmp_path / "c", [0, 1, 2, 9]),
-        replace(recording, truth=replace(recording.truth, orientations_quat_wxyz=turned)),
+        replace(recording, poses=replace(recording.truth, orientations_quat_wxyz=turned)),
         replace(recording, camera=replace(CAMERA, fx=11.0)),
         replace(recording, timestamps_s=recording.timestamps_s + 1),
-        replace(recording, truth=None),
+        replace(recording, poses=None),
     )
     assert len({data_digest(sequence) for sequence in (recording, *others)}) == 6
 
@@ -102,7 +102,7 @@ def test_data_that_is_not_the_models_has_no_part(model, sequence, tmp_path):
         part_frames(model, frames(tmp_path, range(4)), Part.TEST)
     one = sequence.truth.positions_xyz.copy()
     one[test[0], 1] += 0.01
-    moved = replace(sequence, truth=replace(sequence.truth, positions_xyz=one))
+    moved = replace(sequence, poses=replace(sequence.truth, positions_xyz=one))
     with pytest.raises(OdometryError, match=rf"{name}: .*another pose, as 1 of {len(test)} frames"):
         part_frames(model, moved, Part.TEST)
     assert len(part_frames(model, moved, Part.TRAIN)) == len(model.split.train)

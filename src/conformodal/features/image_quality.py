@@ -41,10 +41,6 @@ class QualityRange:
         low, high = qualities.min(axis=0), qualities.max(axis=0)
         return cls(low - _MARGIN * (high - low), high + _MARGIN * (high - low))
 
-    def joined(self, other: QualityRange) -> QualityRange:
-        """The range of the images of either."""
-        return QualityRange(np.minimum(self.low, other.low), np.maximum(self.high, other.high))
-
     def left_by(self, qualities: FloatArray) -> BoolArray:
         """(n,) whether a quality (n, 3) is out of range; False where it was not measured."""
         return np.asarray(((qualities < self.low) | (qualities > self.high)).any(axis=1))

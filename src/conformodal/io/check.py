@@ -94,10 +94,8 @@ def check_recording(sequence: Recording, progress: Callable[[int, int], None] | 
             add(f"position jumps, more than {_JUMP:g} times as fast as usual, before", (linked[jumps] + 1).tolist())
         best, shares = fitting_convention(sequence)
         if best != AS_GIVEN:
-            most, as_read = 100 * max(shares.values()), 100 * shares[AS_GIVEN]
-            where = (
-                f"{most:.0f} % of the matched corners lie within 2 px of their epipolar line, as read {as_read:.0f} %"
-            )
+            most, given = 100 * max(shares.values()), 100 * shares[AS_GIVEN]
+            where = f"{most:.0f} % of the matched corners are within 2 px of their epipolar line, as read {given:.0f} %"
             findings.append(Finding(f"poses fit the images as {best}, and are read as {AS_GIVEN}", 1, where))
     digests, problems = _decode_all(sequence, progress)
     if problems:

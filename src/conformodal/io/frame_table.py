@@ -130,9 +130,8 @@ class FrameTable:
             timestamps_s=self.times[kept],
             recording=np.zeros(len(kept), dtype=np.int64) if self.recording is None else self.recording[kept],
             camera=camera,
-            truth=poses if len(with_pose) == len(kept) else None,
+            poses=poses,
             given_test=None if self.given_test is None else self.given_test[kept],
-            known_poses=poses,
             notes=tuple(notes),
         )
 

@@ -59,24 +59,21 @@ def join_recordings(sequences: Sequence[Recording], given_test: Sequence[bool] |
                 part,
                 timestamps_s=part.timestamps_s + shift_s,
                 recording=recording,
-                truth=_shifted(part.truth, shift_s),
-                known_poses=_shifted(part.poses, shift_s),
+                poses=_shifted(part.poses, shift_s),
                 given_test=test,
             )
         )
         end_s, n_recordings = float(parts[-1].timestamps_s[-1]), int(recording.max()) + 1
-    poses = [part.known_poses for part in parts if part.known_poses is not None]
-    whole = all(part.truth is not None for part in parts)
+    poses = [part.poses for part in parts if part.poses is not None]
     return Recording(
         name=" + ".join(part.name for part in parts),
         image_paths=tuple(path for part in parts for path in part.image_paths),
         timestamps_s=np.concatenate([part.timestamps_s for part in parts]),
         recording=np.concatenate([part.recording for part in parts]),
         camera=first.camera,
-        truth=concatenate(poses) if whole else None,
+        poses=concatenate(poses) if poses else None,
         noise=first.noise,
         given_test=_test_frames(parts),
-        known_poses=concatenate(poses) if poses and not whole else None,
         notes=tuple(notes),
     )
 

@@ -43,14 +43,12 @@ class Recording:
         (n,) number of the recording a frame belongs to; motion is never linked across recordings.
     camera
         Intrinsics of the images as they are on disk.
-    truth
-        Poses ``T_world_cam``, or None.
+    poses
+        ``T_world_cam`` of all frames, or of those that have one, with their timestamps; None without poses.
     noise
         What changes images as they are read, or None.
     given_test
         (n,) whether the data set's own lists name a frame for testing; None if it has no lists.
-    known_poses
-        Poses of the frames that have one, where not all have, with those frames' timestamps; else as `truth`.
     notes
         What is wrong or unusual: frames that were left out, frames without poses, a camera that is unlikely.
     """
@@ -60,10 +58,9 @@ class Recording:
     timestamps_s: FloatArray
     recording: IntArray
     camera: PinholeCamera
-    truth: Trajectory | None = None
+    poses: Trajectory | None = None
     noise: ImageChange | None = None
     given_test: BoolArray | None = None
-    known_poses: Trajectory | None = None
     notes: tuple[Note, ...] = ()
 
     def __post_init__(self) -> None:
@@ -74,8 +71,11 @@ class Recording:
         for what, array in sizes.items():
             if array is not None and array.shape != (n,):
                 raise DatasetError(f"{self.name}: {n} images, but {what} of shape {array.shape}")
-        if self.truth is not None and len(self.truth) != n:
-            raise DatasetError(f"{self.name}: {n} images, but {len(self.truth)} poses")
+        if self.poses is not None and len(self.poses) != len(self.posed):
+            raise DatasetError(
+                f"{self.name}: {len(self.poses)} poses have the times of {len(self.posed)} of {n} images; expected one "
+                "pose per image, or poses at the images' times"
+            )
         wrong = np.flatnonzero(~np.isfinite(self.timestamps_s) | ~(np.diff(self.timestamps_s, prepend=-np.inf) > 0))
         if wrong.size:
             i = int(wrong[0])
@@ -98,27 +98,16 @@ class Recording:
         return image if self.noise is None else self.noise.apply(image, path.name)
 
     @property
-    def poses(self) -> Trajectory | None:
-        """Of all frames, or of those that have one."""
-        return self.known_poses if self.truth is None else self.truth
+    def truth(self) -> Trajectory | None:
+        """The poses, if every frame has one."""
+        return self.poses if self.poses is not None and len(self.poses) == len(self) else None
 
     @property
     def posed(self) -> IntArray:
-        """Indices of the frames that :attr:`poses` are of.
-
-        Raises
-        ------
-        DatasetError
-            If a known pose has the time of no frame.
-        """
-        if self.truth is not None or self.known_poses is None:
-            return np.arange(0 if self.truth is None else len(self))
-        frames = np.flatnonzero(np.isin(self.timestamps_s, self.known_poses.timestamps_s))
-        if len(frames) != len(self.known_poses):
-            raise DatasetError(
-                f"{self.name}: {len(self.known_poses)} known poses have the times of {len(frames)} frames"
-            )
-        return frames
+        """Indices of the frames that :attr:`poses` are of."""
+        if self.poses is None or len(self.poses) == len(self):
+            return np.arange(0 if self.poses is None else len(self))
+        return np.flatnonzero(np.isin(self.timestamps_s, self.poses.timestamps_s))
 
     def require_truth(self) -> Trajectory:
         """The true poses.
