@@ -144,9 +144,7 @@ def convert(
             report("frames", number, max(total, number))
 
         done = write_layout(out, to, stream, lens, truth, progress, max_gap_s=gap_s)
-    back = f", {done.n_without_time} whose time goes back" if done.n_without_time else ""
-    written = f"{counted(done.n_frames, 'frame')} written as {to}, {done.n_posed} of them with poses"
-    report_line(f"{written}; left out: {done.n_unreadable} unreadable{back}")
+    report_line(f"{counted(done.n_frames, 'frame')} written as {to}, {done.n_posed} of them with poses")
     for note in done.notes:
         report_line(f"note: {note}")
     print_where(out)

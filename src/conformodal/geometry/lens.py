@@ -91,8 +91,8 @@ def view_maps(source: AnyCamera, target: PinholeCamera) -> tuple[Float32Array, F
         pixels = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), source.matrix, lens)[0][:, 0]
         corners = np.array([[x, y] for x in (0.0, source.width - 1) for y in (0.0, source.height - 1)])
         widest = float(np.linalg.norm(on_plane(source, corners), axis=1).max())
-    seen = (np.linalg.norm(plane, axis=1) <= _OUTSIDE * widest) & np.isfinite(pixels).all(axis=1)
-    pixels[~seen] = -1
+    visible = (np.linalg.norm(plane, axis=1) <= _OUTSIDE * widest) & np.isfinite(pixels).all(axis=1)
+    pixels[~visible] = -1
     x, y = np.clip(pixels, -1e6, 1e6).T.reshape(2, target.height, target.width).astype(np.float32)
     return x, y
 

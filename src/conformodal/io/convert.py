@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,13 +34,11 @@ _MOST_NAMES = 20
 
 @dataclass
 class ConversionReport:
-    """How many frames were written, written with a pose, and left out; the notes, for people, name the frames."""
+    """How many frames were written, and with a pose; the notes, for people, name those that were left out."""
 
-    n_frames: int = 0
-    n_posed: int = 0
-    n_unreadable: int = 0
-    n_without_time: int = 0
-    notes: list[str] = field(default_factory=list)
+    n_frames: int
+    n_posed: int
+    notes: list[str]
 
 
 def write_layout(
@@ -57,12 +55,6 @@ def write_layout(
     They are written beside the folder, which is new or empty, and moved into its place at the end: a failure leaves
     nothing there. Poses are paired by time; frames without one are kept without. `max_gap_s` is the longest time
     between two poses that one is interpolated from; 0 for poses with the frames' own times.
-
-    Raises
-    ------
-    DatasetError
-        If the folder holds something, the layout cannot be written or cannot hold several recordings, a name would be
-        used twice, or nothing is left to write.
     """
     if layout not in WRITABLE:
         raise DatasetError(f"layout must be one of {', '.join(WRITABLE)}, got {layout!r}")
@@ -90,8 +82,7 @@ def write_layout(
         "kept {} without a pose": without_pose,
     }
     notes = [_listed(why, names) for why, names in left_out.items() if names] + writer.problems[:1]
-    counts = int(posed.sum()), len(writer.unreadable), len(writer.without_time)
-    return ConversionReport(len(times), *counts, notes)
+    return ConversionReport(len(times), int(posed.sum()), notes)
 
 
 def _pair(name: str, times: FloatArray, poses: Trajectory | None, max_gap_s: float) -> FloatArray:

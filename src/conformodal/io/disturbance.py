@@ -27,11 +27,6 @@ class PixelNoise:
         Standard deviation where pixels are in [0, 1].
     seed
         Of the noise; every frame has another by its name.
-
-    Raises
-    ------
-    DatasetError
-        If `sigma` is negative or not finite.
     """
 
     sigma: float

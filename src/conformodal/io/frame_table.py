@@ -24,7 +24,7 @@ from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, in_seconds, near
 from .cameras import uncalibrated_camera
 from .decoding import TURNED, WIDEST, common_size, image_fault, is_turned, sample_wide, white_level
 from .errors import DatasetError, DatasetWarning
-from .lenses import brought
+from .lenses import undistort_to
 from .pose_files import PoseRows
 from .reading import Note, by_what, read_numbers, readable, shown
 from .recording import Recording
@@ -155,7 +155,7 @@ class FrameTable:
             )
         white = self._white_level()
         if others or most != camera or white is not None:
-            self.images = brought(self.images, cameras, camera, white, self.notes)
+            self.images = undistort_to(self.images, cameras, camera, white, self.notes)
         return camera
 
     def _white_level(self) -> int | None:

@@ -31,11 +31,6 @@ def join_recordings(sequences: Sequence[Recording], given_test: Sequence[bool] |
         At least one; one alone is returned as it is.
     given_test
         Which of them are held out for testing, as the split ``given`` does it; by default, their own lists say it.
-
-    Raises
-    ------
-    DatasetError
-        If there is none, or a data set is named twice.
     """
     if not sequences:
         raise DatasetError("no data set was given, expected at least one")
@@ -118,13 +113,7 @@ class JoinedStream:
 
 
 def join_streams(streams: Sequence[FrameStream]) -> FrameStream:
-    """One stream from at least one; data sets alone become one data set, with their poses.
-
-    Raises
-    ------
-    DatasetError
-        If one of several never ends, or data sets cannot be joined.
-    """
+    """One stream from at least one; data sets alone become one data set, with their poses."""
     if len(streams) == 1:
         return streams[0]
     if endless := next((stream for stream in streams if stream.live), None):

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import io
 from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -16,13 +15,11 @@ from pathlib import Path
 
 from PIL import Image
 
-from conformodal.core.arrays import AnyArray
 from conformodal.core.files import default_cache_dir, write_whole
 from conformodal.core.words import counted
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.lens import AnyCamera, filled_share, pinhole_of, view_as
 
-from .cameras import Size
 from .decoding import decode, image_fault
 from .errors import DatasetError, ImageError
 from .reading import Note
@@ -31,7 +28,7 @@ from .recording import Recording
 OTHER_CAMERA = "images of another camera are brought to one"
 
 
-def brought(
+def undistort_to(
     images: list[Path], cameras: list[AnyCamera], target: PinholeCamera, white: int | None, notes: list[Note]
 ) -> list[Path]:
     """Images as the target camera sees them, at 8 bits: files of the same names in the cache where they differ.
@@ -44,36 +41,24 @@ def brought(
         if isinstance(camera, PinholeCamera) and camera != target:
             notes.append(Note(OTHER_CAMERA, f"{counted(count, 'image')} of {describe_change(camera, target)}"))
     with ThreadPoolExecutor(max_workers=2) as pool:
-        return list(pool.map(partial(_brought, target=target, white=white), images, cameras))
+        return list(pool.map(partial(_undistort_to, target=target, white=white), images, cameras))
 
 
-def _brought(image: Path, camera: AnyCamera, *, target: PinholeCamera, white: int | None) -> Path:
+def _undistort_to(image: Path, camera: AnyCamera, *, target: PinholeCamera, white: int | None) -> Path:
     if camera == target and white is None:
         return image
-    pinhole = pinhole_of(camera)
-
-    def make(content: bytes) -> AnyArray:
-        return view_as(decode(content, str(image), (pinhole.width, pinhole.height), white), camera, target)
-
-    return _cached(image, f"{camera} {target} {white} ", (target.width, target.height), make)
-
-
-def _cached(image: Path, key: str, size: Size, make: Callable[[bytes], AnyArray]) -> Path:
-    """A file in the cache with what is made of an image's content; the image itself where it cannot be read."""
+    pinhole, place = pinhole_of(camera), default_cache_dir() / "undistorted"
     try:
         content = image.read_bytes()
-    except OSError:
-        return image
-    place, digest = default_cache_dir() / "undistorted", hashlib.sha256(key.encode() + content).hexdigest()
-    made = place / digest[:2] / digest / f"{image.stem}.png"
-    if made.is_file() and not image_fault(made, size):
-        return made
-    try:
-        pixels = make(content)
-    except ImageError:
+        digest = hashlib.sha256(f"{camera} {target} {white} ".encode() + content).hexdigest()
+        made = place / digest[:2] / digest / f"{image.stem}.png"
+        if made.is_file() and not image_fault(made, (target.width, target.height)):
+            return made
+        pixels = decode(content, str(image), (pinhole.width, pinhole.height), white)
+    except (OSError, ImageError):
         return image
     encoded = io.BytesIO()
-    Image.fromarray(pixels).save(encoded, "PNG", compress_level=1)
+    Image.fromarray(view_as(pixels, camera, target)).save(encoded, "PNG", compress_level=1)
     try:
         write_whole(made, encoded.getvalue())
     except OSError as exc:
@@ -100,5 +85,5 @@ def as_camera(sequence: Recording, camera: PinholeCamera) -> Recording:
     another camera. What this camera does not show is black.
     """
     notes: list[Note] = []
-    images = brought(list(sequence.image_paths), [sequence.camera] * len(sequence), camera, None, notes)
+    images = undistort_to(list(sequence.image_paths), [sequence.camera] * len(sequence), camera, None, notes)
     return replace(sequence, image_paths=tuple(images), camera=camera, notes=(*sequence.notes, *notes))

@@ -86,13 +86,7 @@ class Recording:
         return len(self.image_paths)
 
     def image(self, i: int) -> UInt8Array:
-        """Frame `i` as (height, width, 3) RGB.
-
-        Raises
-        ------
-        ImageError
-            If the file cannot be decoded, or its size is not the camera's.
-        """
+        """Frame `i` as (height, width, 3) RGB."""
         path = self.image_paths[i]
         image = read_image(path, (self.camera.width, self.camera.height))
         return image if self.noise is None else self.noise.apply(image, path.name)
@@ -110,13 +104,7 @@ class Recording:
         return np.flatnonzero(np.isin(self.timestamps_s, self.poses.timestamps_s))
 
     def require_truth(self) -> Trajectory:
-        """The true poses.
-
-        Raises
-        ------
-        PoseError
-            If the sequence has none.
-        """
+        """The true poses; PoseError if a frame has none."""
         if self.truth is None:
             raise PoseError(f"{self.name}: has no poses; expected ground truth for every frame")
         return self.truth

@@ -84,13 +84,7 @@ _BUILT_IN: dict[str, Reader] = {
 
 @cache
 def readers() -> dict[str, Reader]:
-    """All layouts by name: those of the package, and those that other packages add.
-
-    Raises
-    ------
-    DatasetError
-        If an entry point cannot be loaded or is not a Reader.
-    """
+    """All layouts by name: those of the package, and those that other packages add."""
     layouts = dict(_BUILT_IN)
     for point in entry_points(group=ENTRY_POINTS):
         try:
@@ -104,13 +98,7 @@ def readers() -> dict[str, Reader]:
 
 
 def recognise(folder: Path) -> str:
-    """The name of the layout that a folder is in.
-
-    Raises
-    ------
-    DatasetError
-        If the folder is missing, or in no layout or in several; says what was looked for.
-    """
+    """The name of the layout that a folder is in."""
     _check_folder(folder)
     try:
         names = [name for name, reader in readers().items() if reader.recognises(folder)]

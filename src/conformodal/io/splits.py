@@ -85,11 +85,6 @@ def make_split(
     given_test
         (n,) whether the data set's own lists name a frame for testing; None if it has no lists. Only ``given`` reads
         it.
-
-    Raises
-    ------
-    SplitError
-        If shares do not fit, a part would be empty, or what the split needs is missing.
     """
     n = len(recording)
     kind = as_member(kind, SplitKind, "split", SplitError)
