@@ -45,12 +45,6 @@ def test_a_run_answers_with_greedy_and_nothing_of_ours(trained, small_world):
     assert "smoothed" not in checked.output
 
 
-def test_an_option_of_our_own_system_is_refused(trained, small_world, tmp_path):
-    options = ["--novelty-level", 0.1, "--out", tmp_path / "out"]
-    assert "no test for unknown places" in refusal("run", trained / "model", small_world.folder, *options)
-    assert not (tmp_path / "out").exists()
-
-
 def test_the_papers_answer_gets_no_radius(trained, small_world):
     before = (trained / "model" / "model.json").read_bytes()
     assert "gets no radius" in refusal("calibrate", trained / "model", small_world.folder)

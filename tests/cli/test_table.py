@@ -87,11 +87,6 @@ def test_marks_that_may_stand_between_thousands_are_refused(tmp_path, text):
         read_table(written(tmp_path, text))
 
 
-def test_a_mark_between_thousands_stands_between_thousands(tmp_path):
-    text = "a,b\n" + "".join(f"{i},x\n" for i in range(30)) + "1.5,x\n"
-    assert np.isnan(read_table(written(tmp_path, text), CsvFormat(thousands="."))[0]["a"].iloc[-1])
-
-
 @pytest.mark.parametrize(
     ("rows", "named"),
     [
@@ -129,10 +124,6 @@ def test_what_stands_around_the_values_is_passed_over(tmp_path, text, rows):
     assert values["b"].dropna().iloc[0] == 2
 
 
-def test_a_name_of_two_lines_is_a_name(tmp_path):
-    assert list(read_table(written(tmp_path, '"a\n(mm)",b\n1,2\n'))[0]) == ["a\n(mm)", "b"]
-
-
 @pytest.mark.parametrize(
     ("days", "first"),
     [
@@ -148,19 +139,6 @@ def test_days_and_months_are_told_apart_by_the_whole_column(tmp_path, days, firs
     values, notes = read_table(written(tmp_path, "\n".join(["a,b", *(f"{day},1" for day in days)])))
     assert values["a"][0] == pd.Timestamp(first)
     assert f"a: dates, of which {days[0]!r} is read as {first}" in notes
-
-
-@pytest.mark.parametrize("separator", [",", ";"])
-@pytest.mark.parametrize("form", ["%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%d %H:%M"])
-def test_a_year_in_front_is_followed_by_the_month(tmp_path, form, separator):
-    days = pd.Series(pd.date_range("2024-01-01 10:30", "2024-12-31 10:30"))
-    lines = [f"a{separator}b", f"15.3.2024{separator}1", *(f"{day:{form}}{separator}1" for day in days)]
-    values = read_table(written(tmp_path, "\n".join(lines)))[0]["a"]
-    assert values.dt.date.tolist() == [pd.Timestamp("2024-03-15").date(), *days.dt.date]
-
-
-def test_dates_that_mix_their_orders_stay_text(tmp_path):
-    assert read_table(written(tmp_path, "a,b\n15/2/2024,1\n2/15/2024,1\n"))[0]["a"].tolist()[0] == "15/2/2024"
 
 
 @pytest.mark.parametrize(
@@ -235,11 +213,6 @@ def test_columns_that_cannot_be_used_are_refused(targets, group, excluded, named
         choose_columns(frame(), targets, group, "f", excluded)
 
 
-def test_a_table_of_targets_is_refused():
-    with pytest.raises(TableError, match=r"^f: .*targets"):
-        choose_columns(frame()[["dose"]], ["dose"], None, "f")
-
-
 def test_columns_can_be_left_out_and_groups_keep_whole_numbers():
     whole = frame().assign(site=np.arange(len(frame())) % 2 + 1.0)
     X, _, lines = choose_columns(whole, ["dose"], "site", "f", ["age"])
@@ -295,17 +268,6 @@ def test_the_command_prints_what_it_used_and_the_coverage_of_each_group(tmp_path
     assert ConformalRegressor.load(tmp_path / "reg.cm").bins_.names == ["dose"]
     for words in ("used: ward (text, 2 labels), age", "dose: ", "(true: ", "coverage of dose", "group a", "group b"):
         assert words in result.output
-
-
-def test_the_regressor_is_saved_before_the_picture_is_drawn(tmp_path, monkeypatch):
-    pytest.importorskip("matplotlib")
-    pytest.importorskip("skops")
-    shorten_fits(monkeypatch)
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", None)
-    frame(150).to_csv(tmp_path / "own.csv", index=False)
-    outputs = ("--model", tmp_path / "reg.cm", "--plot", tmp_path / "own.png")
-    assert invoke("table", tmp_path / "own.csv", "--target", "dose", *outputs).exit_code == 70
-    assert ConformalRegressor.load(tmp_path / "reg.cm").bins_.names == ["dose"]
 
 
 def test_a_file_that_is_not_there_is_refused_as_an_input(tmp_path):

@@ -1,27 +1,13 @@
-import inspect
 import json
 import subprocess
 import sys
 
 import pytest
-from typer.main import get_command
-from typer.testing import CliRunner
 
 from conformodal.cli import info as info_module
-from conformodal.cli import view as view_module
-from conformodal.cli.main import COMMANDS, app
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.store import load_model
-from tests.helpers import invoke, run_ok
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_the_list_says_what_the_verb_says_of_itself(name):
-    group = get_command(app)
-    verb = group.get_command(None, name)
-    loaded = verb.loaded()
-    assert loaded.name == name
-    assert " ".join(inspect.cleandoc(loaded.help).split()) == COMMANDS[name]
+from tests.helpers import invoke
 
 
 @pytest.mark.parametrize(
@@ -52,24 +38,3 @@ def test_info_names_training_data_guarantee_and_size(small_world):
     lines = info_module.describe_facts(found)
     assert any("with probability at least 0.8" in line for line in lines)
     assert invoke("info", small_world.model).stdout.replace("\n", "").startswith(lines[0])
-
-
-def test_a_page_is_opened(tmp_path, monkeypatch):
-    opened = []
-    monkeypatch.setattr(view_module.webbrowser, "open", lambda address: opened.append(address) or True)
-    assert invoke("view", tmp_path).exit_code == 2
-    page = tmp_path / "report.html"
-    page.write_text("<html></html>")
-    for place in (tmp_path, page):
-        result = run_ok("view", place)
-        assert str(page) in result.stdout.replace("\n", "")
-    assert opened == [page.as_uri()] * 2
-    assert invoke("view", page, "--no-browser").exit_code == 0
-    assert len(opened) == 2
-
-
-@pytest.mark.parametrize(("words", "offered"), [("conformodal tr", "train"), ("conformodal run --par", "--part")])
-def test_the_shell_completes_verbs_and_options(words, offered):
-    asked = {"_CONFORMODAL_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
-    result = CliRunner(env=asked).invoke(app, [], prog_name="conformodal")
-    assert offered in result.output.split()

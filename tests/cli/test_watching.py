@@ -1,14 +1,10 @@
 """Views, recordings and threads of a run are closed, whatever ends it."""
 
-import threading
-from types import SimpleNamespace
-
 import pytest
 from typer.testing import CliRunner
 
 from conformodal.cli import run
 from conformodal.cli.main import app
-from conformodal.pipeline.stream import StreamRunner
 
 
 class Recorder:
@@ -35,10 +31,6 @@ def recorders(monkeypatch):
     monkeypatch.setattr("conformodal.report.live.LiveView", Recorder)
 
 
-def windows():
-    return [thread for thread in threading.enumerate() if thread.name.startswith("windows")]
-
-
 class NoScreen(Recorder):
     def __init__(self, *arguments, **options):
         raise OSError("no screen")
@@ -56,21 +48,6 @@ def test_a_view_that_fails_leaves_no_recording_open(monkeypatch, tmp_path, view,
     with pytest.raises(OSError, match=r"^(no screen|gone)$"), sinks:
         pass
     assert [recorder.open for recorder in opened] == still_open
-
-
-def test_a_stream_that_breaks_off_leaves_no_thread():
-    before, started = len(windows()), []
-
-    def break_off():
-        with StreamRunner(SimpleNamespace(reset=lambda: None), None) as runner:
-            runner._pool.submit(len, "").result()
-            started.extend(windows())
-            raise RuntimeError("broken")
-
-    with pytest.raises(RuntimeError, match="broken"):
-        break_off()
-    assert len(started) == before + 1
-    assert len(windows()) == before
 
 
 @pytest.mark.slow

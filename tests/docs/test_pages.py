@@ -23,16 +23,6 @@ def text_of(path):
     return path.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_files_that_a_page_names_exist(path):
-    named = re.findall(r"`((?:tests|benchmarks|examples|notebooks|docs|scripts)/[\w./-]*)`", text_of(path))
-    assert not [name for name in named if not (ROOT / name).exists()]
-
-
-def test_readme_is_short():
-    assert len(text_of(ROOT / "README.md").splitlines()) <= 120
-
-
 # ---- tables and the numbers that are taken from them
 
 

@@ -72,13 +72,3 @@ def test_nothing_runs_out_of_the_page(site, browser, width):
         page.goto((site / f"{name}.html").as_uri())
         assert page.evaluate("document.scrollingElement.scrollWidth - innerWidth") <= 0, name
     page.close()
-
-
-def test_search_needs_no_network(site, browser):
-    context = browser.new_context(viewport={"width": 1280, "height": 900}, offline=True)
-    page = context.new_page()
-    page.goto((site / "index.html").as_uri())
-    page.click(".md-search__input")
-    page.keyboard.type("exchangeable")
-    page.wait_for_selector(".md-search-result__item a", timeout=20_000)
-    context.close()

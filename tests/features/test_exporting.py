@@ -1,8 +1,5 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
-from onnx import load_model_from_string
 from PIL import Image
 
 from conformodal.features import export as exporting
@@ -53,24 +50,6 @@ def test_the_exported_network_gives_torchs_features(backbone, onnx, images):
 def test_features_do_not_depend_on_the_other_images_of_a_batch(onnx, images):
     np.testing.assert_array_equal(onnx.maps(images), np.concatenate([onnx.maps(image[None]) for image in images]))
     np.testing.assert_array_equal(onnx.describe(images)[1:2].astype(np.float32), onnx.features_of(images[1]))
-
-
-def test_a_network_is_exported_once(backbone, onnx, cache, monkeypatch):
-    monkeypatch.setattr(exporting, "_export", lambda _: pytest.fail("exported again"))
-    again = exported(backbone, cache)
-    assert again.content == onnx.content
-    assert again.fingerprint == onnx.fingerprint != backbone.fingerprint
-
-
-def test_the_file_names_no_source_of_this_machine(onnx):
-    assert b".py" not in onnx.content
-
-
-def test_the_oldest_runtime_reads_the_file(onnx):
-    model = load_model_from_string(onnx.content)
-    assert model.ir_version == 10  # the newest of ONNX Runtime 1.20
-    assert {one.domain: one.version for one in model.opset_import if one.version}[""] == 18
-    assert '"onnxruntime>=1.20"' in (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
 
 
 def test_an_export_that_answers_otherwise_is_refused(backbone, onnx, monkeypatch):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from conformodal.features.heads import Head, fit_head, mean_squared_error, predict_values, soft_cross_entropy
+from conformodal.features.heads import Head, fit_head, mean_squared_error, soft_cross_entropy
 from conformodal.features.projection import fit_projection
 from conformodal.features.settings import TrainingConfig, VisionError
 
@@ -38,23 +38,6 @@ def test_the_loss_is_the_mean_cross_entropy_of_the_targets_whatever_their_sizes(
             for r, t in zip(torch.split(raw, sizes, dim=1), torch.split(labels, sizes, dim=1), strict=True)
         ]
         assert float(soft_cross_entropy(head, raw, labels)) == pytest.approx(float(sum(each) / 2))
-
-
-def test_regression_shares_the_trunk():
-    x, _ = toy()
-    y = x[:, :2] * 0.5
-    head = fit_head(
-        x, y, [1, 1], mean_squared_error, TrainingConfig(epochs=60, hidden=32, dropout=0.0, learning_rate=1e-2)
-    )
-    assert np.sqrt(np.mean((predict_values(head, x) - y) ** 2)) < 0.15
-
-
-@pytest.mark.parametrize("epochs", [1, 5, 10, 11])
-def test_training_of_few_steps_comes_to_its_end(epochs):
-    x = np.random.default_rng(0).normal(size=(8, 3)).astype(np.float32)
-    config = replace(CONFIG, epochs=epochs, batch_size=8)
-    head = fit_head(x, np.tile([1.0, 0.0], (8, 1)), [2], soft_cross_entropy, config)
-    assert np.isfinite(head.trained().predict_proba(x)[0]).all()
 
 
 def test_too_little_data_is_refused():

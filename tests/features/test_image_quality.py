@@ -11,10 +11,6 @@ def grey():
     return cv2.resize(rough, (320, 240), interpolation=cv2.INTER_CUBIC).clip(0, 255).astype(np.uint8)
 
 
-def test_brightness_and_contrast_are_mean_and_standard_deviation(grey):
-    np.testing.assert_allclose(image_quality(grey)[:2], [grey.mean(), grey.std()])
-
-
 def test_detail_of_pure_noise_is_known():
     """The response to the mask is normal, with the root of its squared weights, six, times the noise's deviation."""
     noisy = np.random.default_rng(1).normal(128, 10, (400, 400)).round().astype(np.uint8)

@@ -1,6 +1,5 @@
 import cv2
 import numpy as np
-import pytest
 
 from conformodal.features.local import extract_local_features, match
 from conformodal.geometry import PinholeCamera
@@ -55,21 +54,6 @@ def test_a_blank_image_has_no_corners():
     assert blank.descriptors.shape == (0, 32)
     np.testing.assert_array_equal(blank.global_descriptor, 0)
     assert match(blank.descriptors, blank.descriptors).shape == (0, 2)
-
-
-@pytest.mark.parametrize("n_others", [0, 1])
-def test_one_descriptor_to_choose_from_is_no_choice(n_others):
-    some = np.random.default_rng(0).integers(0, 256, (5, 32), dtype=np.uint8)
-    assert len(match(some, some[:n_others])) == 0
-
-
-def test_pairs_are_one_to_one():
-    rng = np.random.default_rng(0)
-    others = rng.integers(0, 256, (50, 32), dtype=np.uint8)
-    doubled = np.concatenate((others, others[:20]))
-    pairs = match(doubled, others)
-    assert len(np.unique(pairs[:, 0])) == len(np.unique(pairs[:, 1])) == len(pairs) == 50
-    np.testing.assert_array_equal(doubled[pairs[:, 0]], others[pairs[:, 1]])
 
 
 def test_matches_are_those_of_the_definition():

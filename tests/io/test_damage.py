@@ -14,11 +14,8 @@ import pytest
 from PIL import Image
 
 from conformodal.conformal import ConformodalError
-from conformodal.geometry import PinholeCamera, PoseError
 from conformodal.io import DatasetError, DatasetWarning, ImageError, Layout, read_recording
-from conformodal.io.cameras import camera_beside
 from conformodal.io.streams.opening import open_stream
-from tests.helpers import invoke
 from tests.io.test_layouts import SIZE, WRITERS, N, picture
 
 # what a test does not match is not its point
@@ -81,92 +78,60 @@ def test_a_bad_image_costs_its_frame(tmp_path, layout, damage):
         read_recording(folder, require_poses=False).image(place)
 
 
-# where the pose of frame 2 is: its file, the separator, the words of the pose, the first number of the position
-LINES = {
-    TUM: ("groundtruth.txt", " ", slice(1, 8), 0),
-    IMAGES: ("poses.tum", " ", slice(1, 8), 0),
-    EUROC: ("state_groundtruth_estimate0/data.csv", ",", slice(1, 8), 0),
-    RGBD: ("02.pose", " ", slice(0, 7), 4),
-    KITTI: ("07.txt", " ", slice(0, 12), 3),
-}
-MATRIX = (KITTI, SEVEN, NERF)
+# where the pose of frame 2 is: its file, the first word of the pose, the first number of the position
+PLACES = {TUM: ("groundtruth.txt", 1, 0), KITTI: ("07.txt", 0, 3), SEVEN: ("frame-000002.pose.txt", 0, 3)}
 
 
 def change_pose(layout, root, change):
     """Change the words of frame 2's pose, as they are in its file."""
+    name, start, _ = PLACES[layout]
+    path = file_of(root, name)
     if layout is SEVEN:
-        path = file_of(root, "frame-000002.pose.txt")
         path.write_text(" ".join(change(path.read_text().split())))
-    elif layout is NERF:
-        path = root / "transforms.json"
-        content = json.loads(path.read_text())
-        frame = next(f for f in content["frames"] if "0002" in f["file_path"])
-        words = list(map(float, change([str(v) for row in frame["transform_matrix"] for v in row])))
-        frame["transform_matrix"] = [words[k : k + 4] for k in range(0, len(words), 4)]
-        path.write_text(json.dumps(content))
-    else:
-        name, separator, place, _ = LINES[layout]
-        path = file_of(root, name)
-        lines = path.read_text().splitlines()
-        at = [k for k, line in enumerate(lines) if not line.startswith("#")][2]
-        words = lines[at].split(separator)
-        words[place] = change(words[place])
-        lines[at] = separator.join(words)
-        path.write_text("\n".join(lines) + "\n")
+        return
+    lines = path.read_text().splitlines()
+    at = [k for k, line in enumerate(lines) if not line.startswith("#")][2]
+    words = lines[at].split()
+    lines[at] = " ".join([*words[:start], *change(words[start:])])
+    path.write_text("\n".join(lines) + "\n")
 
 
 def position(value):
-    return lambda layout: (
-        lambda words: [value if k == LINES.get(layout, (3,))[-1] else word for k, word in enumerate(words)]
-    )
+    return lambda layout: lambda words: [value if k == PLACES[layout][2] else word for k, word in enumerate(words)]
 
 
 def rotation(value):
     """The words with all numbers of the rotation replaced, by place."""
 
     def change(layout):
-        place = LINES.get(layout, (3,))[-1]
-        held = [place, place + 1, place + 2] if layout not in MATRIX else [3, 7, 11, 12, 13, 14, 15]
+        held = [0, 1, 2] if layout is TUM else [3, 7, 11, 12, 13, 14, 15]
         return lambda words: [word if k in held else value(k, word) for k, word in enumerate(words)]
 
     return change
 
 
 POSES = {
-    **{f"a number is {value!r}": position(value) for value in ("nan", "1e400", "1_0", "lost", "1;5", "\u0661")},
+    **{f"a number is {value!r}": position(value) for value in ("nan", "1e400", "1_0", "lost")},
     "far away": position("1e200"),
     "cut": lambda _: lambda words: words[: len(words) // 3],
     "no direction": rotation(lambda k, word: "0"),
     "too large": rotation(lambda k, word: "2.5" if k == 0 else word),
     "a mirror": rotation(lambda k, word: str(-float(word)) if k % 4 == 0 else word),
 }
-NOT_NUMBERS = {"cut", *(f"a number is {value!r}" for value in ("1_0", "lost", "1;5", "\u0661"))}
 BAD_POSES = [
     (what, layout)
     for what in POSES
-    for layout in (*LINES, SEVEN, NERF)
-    if layout in MATRIX or what not in ("too large", "a mirror")  # quaternions are scaled, and have no mirrors
-    if layout is not NERF or what not in NOT_NUMBERS  # what is not a number costs the file
+    for layout in PLACES
+    if layout is not TUM or what not in ("too large", "a mirror")  # quaternions are scaled, and have no mirrors
 ]
 
 
 @pytest.mark.parametrize(("what", "layout"), BAD_POSES)
 def test_a_bad_pose_costs_its_frame(tmp_path, what, layout):
     folder = WRITERS[layout](tmp_path)
-    for truth in tmp_path.rglob("state_groundtruth_estimate0"):  # a lost row of 20 Hz would be bridged
-        (truth / "max-gap.txt").write_text("0.06")
     before = read_recording(folder)
     change_pose(layout, tmp_path, POSES[what](layout))
     expect(folder, layout, before, 2, before.image_paths[2].name)
-
-
-@pytest.mark.parametrize("what", ["missing", "bytes", "empty", "a folder", "a pipe", "a broken link"])
-def test_a_7_scenes_pose_that_is_not_a_file_costs_its_frame(tmp_path, what):
-    folder = WRITERS[SEVEN](tmp_path)
-    before = read_recording(folder)
-    changes = UNREADABLE | {"missing": Path.unlink, "bytes": lambda path: path.write_bytes(b"\xff\xfe\x001\x00")}
-    changes[what](tmp_path / "seq-01" / "frame-000003.pose.txt")
-    expect(folder, SEVEN, before, 3, r"frame-000003\.color\.png: .*frame-000003\.pose")
 
 
 def test_two_poses_for_one_time_are_no_pose(tmp_path):
@@ -205,33 +170,6 @@ def test_a_bad_time_costs_its_frame(tmp_path, what, layout):
     lines[2][0] = TIMES[what]([line[0] for line in lines])
     path.write_text("\n".join(map(separator.join, lines)))
     expect(folder, layout, before, 2, rf"{path.name}|{before.image_paths[2].name}", always=True)
-
-
-@pytest.mark.parametrize("layout", LISTS)
-@pytest.mark.parametrize("line", ["lost", "12", "now rgb/0.png", "1_0 rgb/0.png", "1_0,0.png", "5,"])
-def test_a_bad_line_of_images_is_left_out(tmp_path, layout, line):
-    folder = WRITERS[layout](tmp_path)
-    before = read_recording(folder)
-    path = folder / LISTS[layout]
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join([*lines[:3], line, *lines[3:]]))
-    with pytest.warns(DatasetWarning, match=rf"{path.name}, line 4: expected"):
-        after = read_recording(folder)
-    assert after.image_paths == before.image_paths
-    np.testing.assert_array_equal(after.truth.positions_xyz, before.truth.positions_xyz)
-
-
-def test_a_name_that_is_not_utf_8_costs_its_frame(tmp_path):
-    folder = WRITERS[IMAGES](tmp_path)
-    before = read_recording(folder)
-    for i, path in enumerate(before.image_paths):
-        path.rename(os.fsdecode(os.fsencode(folder) + (b"/%d.png" % i if i != 2 else b"/2\xff.png")))
-    np.savetxt(folder / "poses.txt", before.truth.poses_se3[:, :3].reshape(N, 12))
-    (folder / "poses.tum").unlink()
-    with pytest.warns(DatasetWarning, match="not UTF-8"):
-        after = read_recording(folder)
-    np.testing.assert_allclose(after.truth.positions_xyz, np.delete(before.truth.positions_xyz, 2, axis=0), atol=1e-9)
-    assert r"2\xff.png" in invoke("data", "check", folder).output
 
 
 # ---- files that are refused
@@ -279,15 +217,12 @@ ONE_POSE = "1 0 0 0 0 1 0 0 0 0 1 0\n"
 # layout, change of a file, the file that is named
 REFUSED = [
     (SEVEN, lambda r: picture(r / "seq-1" / "frame-000000.color.png", 25), "seq-0?1"),
-    (SEVEN, lambda r: picture(r / "seq-01" / "frame-3.color.png", 25), "frame-(3|000003).color.png"),
     (SEVEN, lambda r: [p.unlink() for p in r.rglob("*.pose.txt")], r"000000\.pose\.txt"),
     (SEVEN, drop("camera-intrinsics.txt"), "camera-intrinsics"),
     (SEVEN, lambda r: [p.unlink() for p in r.rglob("frame-0*")], "frame-NNNNNN"),
     (SEVEN, add("camera-distortion.txt", "-0.28 0.07\n"), r"camera-distortion\.txt"),
-    (SEVEN, add("camera-distortion.txt", "wide\n"), r"camera-distortion\.txt"),
-    *[(SEVEN, add("frame-rate.txt", x), r"frame-rate\.txt") for x in ("nan", "0", "-3", "1e300", "30 30", "", "3_0")],
+    *[(SEVEN, add("frame-rate.txt", x), r"frame-rate\.txt") for x in ("nan", "0", "30 30")],
     (RGBD, put("02.pose", "1 0 0 0 0 0 0\n"), r"02\.pose"),
-    (RGBD, put("02.pose", "0 0 0 0 1 1 1\n"), r"02\.pose"),
     (RGBD, blank_line("02.pose"), r"02\.pose, line 4"),
     *[
         (KITTI, put("calib.txt", text), r"calib\.txt.*P0")
@@ -298,19 +233,14 @@ REFUSED = [
     ],
     (KITTI, put("times.txt", "0 1\n"), r"times\.txt"),
     (KITTI, put("times.txt", "5 4 3 2 1\n"), r"00000\d\.png"),
-    (KITTI, put("07.txt", "1 2 3\n"), r"07\.txt, line 1"),
     (KITTI, put("07.txt", ONE_POSE), r"07\.txt"),
     (KITTI, put("07.txt", "r11 r12 r13 tx\n" + ONE_POSE * N), r"07\.txt, line 1"),
     (KITTI, blank_line("07.txt"), r"07\.txt, line 4"),
-    (KITTI, lambda r: picture(r / "sequences/07/image_0/000003.bmp", 1), r"000003\.(png|bmp)"),
     (TUM, put("rgb.txt", "# nothing\n"), r"rgb\.txt"),
     (TUM, drop("camera-intrinsics.txt"), "camera-intrinsics"),
     (EUROC, drop("sensor.yaml"), r"sensor\.yaml"),
-    (EUROC, put("sensor.yaml", "intrinsics: [1, 2]\n"), r"sensor\.yaml"),
     (EUROC, sub("sensor.yaml", "T_BS", "T_SB"), r"sensor\.yaml"),
-    (EUROC, sub("sensor.yaml", "[40, 40, 32, 24]", "'4432'"), r"sensor\.yaml"),
     (EUROC, sub("sensor.yaml", "radial-tangential", "kannala-brandt"), r"sensor\.yaml: .*undistort"),
-    (EUROC, sub("sensor.yaml", "data: [", "data: [2.0, ", 1), r"sensor\.yaml"),  # one number too many
     (EUROC, sub("sensor.yaml", "-1.0", "-1.1", 1), r"sensor\.yaml"),  # not a rotation
     *[
         (COLMAP, sub("images.txt", *change), r"images\.txt")
@@ -319,7 +249,6 @@ REFUSED = [
             ("0003.png", "0002.png"), (" 3 0003", " 3_0 0003"), ("44\n", "44\n1 2 3 4 5 6 7 8 9 10 11 12\n", 1),
         )
     ],
-    (COLMAP, put("images.txt", "# nothing\n"), r"images\.txt"),
     (COLMAP, add("times.txt", "1 2 4\n"), r"times\.txt"),
     *[
         (COLMAP, put("cameras.txt", f"3 {camera}\n"), r"cameras\.txt, line 1")
@@ -329,10 +258,7 @@ REFUSED = [
         )
     ],
     (NERF, lambda r: put("transforms.json", (r / "transforms.json").read_text()[:-20])(r), r"transforms\.json"),
-    (NERF, sub("transforms.json", "camera_angle_x", "angle"), r"transforms\.json"),
     (NERF, sub("transforms.json", "/00", "/01"), r"transforms\.json"),
-    (NERF, sub("transforms.json", "1.0]]", "]]", 1), r"transforms\.json"),
-    (NERF, add("times.txt", "1 2 4\n"), r"times\.txt"),
     *[
         (NERF, nerf(changes), r"transforms\.json: ")
         for changes in (
@@ -361,27 +287,6 @@ def test_a_damaged_data_set_is_refused_by_its_file(tmp_path, layout, change, mat
     with pytest.raises(DatasetError, match=match) as caught:
         read_recording(folder, layout)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("layout", WRITERS)
-def test_a_data_set_without_one_sound_image_is_refused(tmp_path, layout):
-    folder = WRITERS[layout](tmp_path)
-    for path in read_recording(folder).image_paths:
-        path.write_bytes(b"")
-    with pytest.raises(ImageError, match="cannot be decoded"):
-        read_recording(folder)
-
-
-@pytest.mark.parametrize("layout", [Layout.AUTO, *WRITERS])
-@pytest.mark.parametrize("what", ["nowhere", "file", "empty"])
-def test_what_is_not_a_data_set_is_refused(tmp_path, layout, what):
-    path = tmp_path / "a"
-    if what == "file":
-        path.write_text("x")
-    elif what == "empty":
-        path.mkdir()
-    with pytest.raises(DatasetError):
-        read_recording(path, layout)
 
 
 def test_images_without_a_camera_are_told_what_they_lack(tmp_path):
@@ -428,21 +333,16 @@ def write_camera(layout, root, pixels, lens=(), size=SIZE):
 NOT_CAMERAS = {
     "fx is NaN": (NAN, 40, 32, 24, ()),
     "fx is negative": (-40, 40, 32, 24, ()),
-    "fy is zero": (40, 0, 32, 24, ()),
     "cy is infinite": (40, 40, 32, INF, ()),
-    "cx is a million millions": (40, 40, 1e12, 24, ()),
     "fx sees 179 degrees": (0.5, 40, 32, 24, ()),
-    "fx sees a thousandth of a degree": (1e7, 40, 32, 24, ()),
     "k1 is 1e9": (40, 40, 32, 24, (1e9, 0, 0, 0)),
     "k2 is NaN": (40, 40, 32, 24, (0, NAN, 0, 0)),
 }
 UNLIKELY = {
     "principal point right of the image": ((40, 40, 640, 24, ()), "principal point .* outside"),
     "intrinsics of ten times the size": ((400, 400, 320, 240, ()), "about 640x480"),
-    "intrinsics of half the size": ((20, 20, 16, 12, ()), "about 32x24"),
     "fx twice fy": ((80, 40, 32, 24, ()), "fx = 80 and fy = 40"),
     "a view of 145 degrees": ((10, 10, 32, 24, ()), "field of view of 145"),
-    "a view of two degrees": ((2000, 2000, 32, 24, ()), "field of view of 1.83"),
     "a lens that folds the image": ((40, 40, 32, 24, (-2.0, 0, 0, 0)), "folds"),
 }
 
@@ -493,28 +393,6 @@ def test_a_size_that_the_file_states_scales_its_camera_or_refuses(tmp_path, layo
     with pytest.warns(DatasetWarning, match=f"scaled from {size[0]}x{size[1]}"):
         camera = read_recording(folder).camera
     assert (camera.fx, camera.cx, camera.cy, camera.width) == pytest.approx((40, 32, 24, 64))
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        "40 0 0\n0 40 0\n32 24 1\n", "1 0 0\n0 1 0\n0 0 1\n", "40 0 32\n0 40 24\n0 0 2\n", "0 0 0\n0 0 0\n0 0 0\n",
-        "0.025 0 -0.8\n0 0.025 -0.6\n0 0 1\n", "40 5 32\n0 40 24\n0 0 1\n", "40 nan 32\n0 40 24\n0 0 1\n", "40 40 32\n",
-        "fx 0 cx\n0 fy cy\n0 0 1\n", "4_0 0 32\n0 40 24\n0 0 1\n", "\u0664\u0660 0 32\n0 40 24\n0 0 1\n",
-    ],
-)  # fmt: skip
-def test_matrices_that_are_not_a_camera_are_refused(tmp_path, content):
-    (tmp_path / "camera-intrinsics.txt").write_text(content)
-    with pytest.raises(DatasetError, match="camera-intrinsics"):
-        camera_beside(tmp_path, SIZE, None, [])
-
-
-@pytest.mark.parametrize("field", ["fx", "fy", "cx", "cy", "width", "height"])
-def test_a_camera_refuses_what_is_not_a_finite_number(field):
-    good = {"fx": 40.0, "fy": 40.0, "cx": 32.0, "cy": 24.0, "width": 64, "height": 48}
-    for value in (NAN, INF, -INF, None, "40"):
-        with pytest.raises(PoseError, match=f"camera has {field} = "):
-            PinholeCamera(**(good | {field: value}))
 
 
 # ---- what does no harm
@@ -663,18 +541,3 @@ def test_links_are_followed_and_names_that_lead_outside_only_when_told(tmp_path,
             open_stream(folder)
     recording = read_recording(folder, follow_outside="link" not in how or "dots" in how)
     assert 255 in [recording.image(i)[0, 0, 0] for i in range(N)]
-
-
-@pytest.mark.parametrize("name", ["a\0b", "x" * 5000, "..", "/", "."])
-@pytest.mark.parametrize("layout", [TUM, NERF])
-def test_names_that_are_not_files_cost_a_frame_or_are_refused(tmp_path, layout, name):
-    folder = WRITERS[layout](tmp_path)
-    path = next(tmp_path.rglob(NAMED[layout][0]))
-    old = NAMED[layout][1]
-    path.write_text(path.read_text().replace(old, old[0] + (json.dumps(name)[1:-1] if layout is NERF else name)))
-    if name in ("a\0b", "..", "/"):
-        with pytest.raises(DatasetError):
-            read_recording(folder)
-        return
-    with pytest.warns(DatasetWarning, match="1 x left out"):
-        assert len(read_recording(folder)) == N - 1

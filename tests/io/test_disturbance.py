@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 
 from conformodal.io import Disturbance, PixelNoise
 
@@ -34,10 +33,3 @@ def test_noise_that_images_have_anyway_comes_first():
     noise = PixelNoise(0.1)
     expected = Disturbance(3).apply(noise.apply(IMAGE, "a"), "a")
     np.testing.assert_array_equal(Disturbance(3, noise).apply(IMAGE, "a"), expected)
-
-
-@pytest.mark.parametrize("name", ["a", "b", "c"])
-def test_the_image_itself_stays(name):
-    before = IMAGE.copy()
-    Disturbance(0).apply(IMAGE, name)
-    np.testing.assert_array_equal(IMAGE, before)

@@ -133,15 +133,6 @@ def test_what_a_pinhole_camera_cannot_show_is_cut_off_and_told(tmp_path):
     assert sequence.image(0)[:, :2].any()  # nothing black at its sides
 
 
-def test_a_picture_that_cannot_be_read_costs_its_frame(tmp_path):
-    write_colmap(tmp_path / "a")
-    (tmp_path / "a" / "images" / "01.png").write_bytes(b"no image")
-    assert [path.name for path in read_recording(tmp_path / "a").image_paths] == ["00.png", "02.png"]
-    whole = read_recording(tmp_path / "a", require_poses=False)
-    with pytest.raises(DatasetError, match=r"a/images/01\.png"):
-        whole.image(1)
-
-
 BAD = {
     "k1 is NaN": (float("nan"), 0, 0, 0),
     "k4 is infinite": (0, 0, 0, float("inf")),
@@ -159,10 +150,3 @@ def test_coefficients_of_no_lens_are_refused(tmp_path, what):
     for name, file in (("a", r"cameras\.txt, line 1"), ("b", r"transforms\.json")):
         with pytest.raises(DatasetError, match=file):
             read_recording(tmp_path / name)
-
-
-def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("mine")
-    monkeypatch.setenv("CONFORMODAL_CACHE", str(tmp_path / "file"))
-    with pytest.raises(DatasetError, match=r"file/undistorted: .*CONFORMODAL_CACHE"):
-        read_recording(write_colmap(tmp_path / "a"))

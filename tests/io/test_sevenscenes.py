@@ -1,10 +1,8 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from PIL import Image
 
-from conformodal.io import DatasetError, ImageError, read_recording
+from conformodal.io import DatasetError, read_recording
 from conformodal.io.check import check_recording
 
 
@@ -29,31 +27,6 @@ def test_scene_of_several_recordings_is_kept_apart(tmp_path):
     assert (np.diff(sequence.timestamps_s) > 0).all()
 
 
-IDENTITY = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
-
-
-def test_truncated_missing_and_resized_images_are_told_by_file(tmp_path):
-    folder = tmp_path / "seq-01"
-    folder.mkdir()
-    rng = np.random.default_rng(0)
-    for i, suffix in enumerate(["jpg", "png", "png", "png"]):
-        path = folder / f"frame-{i:06d}.color.{suffix}"
-        Image.fromarray(rng.integers(0, 255, (480, 640, 3), dtype=np.uint8)).save(path)
-        (folder / f"frame-{i:06d}.pose.txt").write_text(IDENTITY)
-    sequence = read_recording(folder)
-    for i in (0, 1):
-        content = sequence.image_paths[i].read_bytes()
-        sequence.image_paths[i].write_bytes(content[: len(content) // 2])
-        with pytest.raises(ImageError, match=f"frame-00000{i}"):
-            sequence.image(i)
-    Image.new("RGB", (10, 10)).save(sequence.image_paths[2])
-    with pytest.raises(ImageError, match="10x10"):
-        sequence.image(2)
-    sequence.image_paths[3].unlink()
-    with pytest.raises(ImageError, match="missing"):
-        sequence.image(3)
-
-
 @pytest.mark.parametrize("known", [False, True])
 def test_a_camera_that_nothing_gives_is_told(tmp_path, known):
     folder = write_recording(tmp_path / "seq-01", size=(640, 480))
@@ -67,14 +40,6 @@ def test_a_camera_that_nothing_gives_is_told(tmp_path, known):
         [] if known else [f"{folder}: its focal length is 585 pixels; write another camera into camera-intrinsics.txt"]
     )
     assert not any(finding.wrong for finding in check_recording(sequence).findings if "layout" in finding.what)
-
-
-def test_a_lens_with_distortion_is_read(tmp_path):
-    folder = write_recording(tmp_path / "seq-01")
-    lens = folder / "camera-distortion.txt"
-    assert read_recording(folder).camera.distortion == ()
-    lens.write_text("-0.28 0.07 2e-4 0\n")
-    assert read_recording(folder).camera.distortion == (-0.28, 0.07, 2e-4, 0.0)
 
 
 def write_scene(folder, train="sequence1\n", test="sequence2\nsequence3\n"):
@@ -121,17 +86,3 @@ def test_a_recording_and_a_scene_without_lists_give_no_test_frames(tmp_path):
 def test_lists_that_do_not_name_every_recording_once_are_told_by_file_and_line(tmp_path, train, test, match):
     with pytest.raises(DatasetError, match=match):
         read_recording(write_scene(tmp_path, train, test))
-
-
-def test_given_test_must_fit_the_frames(tmp_path):
-    sequence = read_recording(write_scene(tmp_path))
-    with pytest.raises(DatasetError, match=r"6 images, but given_test of shape \(2,\)"):
-        replace(sequence, given_test=np.zeros(2, bool))
-
-
-@pytest.mark.parametrize(("gone", "there"), [("TrainSplit.txt", "TestSplit.txt"), ("TestSplit.txt", "TrainSplit.txt")])
-def test_one_list_without_the_other_is_refused(tmp_path, gone, there):
-    scene = write_scene(tmp_path)
-    (scene / gone).unlink()
-    with pytest.raises(DatasetError, match=rf"{gone}: is missing"):
-        read_recording(scene)

@@ -92,16 +92,6 @@ def test_a_given_split_tests_on_the_list_and_calibrates_on_other_recordings(seed
     assert train | calibration == {0, 2, 6, 7, 8}
 
 
-def test_shares_of_a_given_split_are_of_the_training_list():
-    recording = np.repeat(np.arange(14), 5)
-    given_test = recording % 2 == 1
-    parts = recordings_of(make_split(recording, "given", given_test=given_test, calibration=0.3), recording)
-    assert [len(p) for p in parts] == [4, 3, 7]
-    half = make_split(recording, "given", given_test=given_test, used=0.4, calibration=0.08)
-    assert [len(p) for p in recordings_of(half, recording)] == [3, 1, 7]
-    assert half.test.tolist() == np.flatnonzero(given_test).tolist()
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_a_share_of_two_training_recordings_is_a_stretch_of_each(seed):
     recording = np.repeat([0, 1, 2], [120, 80, 50])
@@ -134,28 +124,6 @@ def test_calibration_frames_drawn_at_random_come_from_every_training_recording(k
         assert share == pytest.approx(0.2, abs=0.1)
 
 
-def test_stretches_of_a_lone_training_recording_calibrate():
-    recording = np.repeat([0, 1, 2], [50, 100, 50])
-    split = make_split(recording, "given", seed=1, n_blocks=10, given_test=recording != 1)
-    assert split.test.tolist() == [*range(50), *range(150, 200)]
-    assert sorted([*split.train, *split.calibration]) == list(range(50, 150))
-    stretches = sorted({int(i) // 10 for i in split.calibration})
-    assert len(stretches) == 2
-    assert split.calibration.tolist() == [i for s in stretches for i in range(10 * s, 10 * s + 10)]
-
-
-def test_pieces_of_whole_recordings_and_of_given_lists():
-    recording = np.repeat([4, 2, 9], [3, 4, 2])
-    whole = held_out_together(recording, SplitKind.RECORDINGS)
-    assert whole.tolist() == [1, 1, 1, 0, 0, 0, 0, 2, 2]
-    two = held_out_together(recording, SplitKind.GIVEN, given_test=recording == 4)
-    assert two.tolist() == [2, 2, 2, 0, 0, 0, 0, 1, 1]
-    lone = held_out_together(recording, SplitKind.GIVEN, n_blocks=2, given_test=recording != 2)
-    assert lone.tolist() == [2, 2, 2, 0, 0, 1, 1, 3, 3]
-    with pytest.raises(SplitError, match="none"):
-        held_out_together(recording, SplitKind.GIVEN)
-
-
 def test_frames_to_known_agrees_with_all_pairs():
     recording = np.repeat([0, 1, 2], [40, 25, 60])
     split = make_split(recording, "blocks", seed=3)
@@ -185,17 +153,3 @@ def test_frames_to_known_agrees_with_all_pairs():
 def test_impossible_splits_are_refused(kind, options, match):
     with pytest.raises(SplitError, match=match):
         make_split(np.zeros(100, int), kind, **options)
-
-
-def test_too_few_frames_and_unknown_parts_are_refused():
-    with pytest.raises(SplitError, match="too few"):
-        make_split(np.zeros(3, int), "interleaved")
-    with pytest.raises(SplitError, match="part"):
-        make_split(np.zeros(100, int), "blocks").part("validation")
-
-
-def test_an_interleaved_split_has_random_calibration_frames_already():
-    from conformodal.io import with_random_calibration
-
-    split = make_split(np.zeros(100, int), "interleaved")
-    assert with_random_calibration(split, 0.5) is split

@@ -47,10 +47,6 @@ def test_a_video_becomes_a_data_set(tmp_path):
     assert open_video(tmp_path / "v.avi").n_frames == 8
 
 
-def test_a_camera_has_no_end_to_convert(tmp_path):
-    assert "has no end" in refusal("data", "convert", "camera:3", "--out", tmp_path / "set")
-
-
 def test_check_finds_what_is_wrong(tmp_path):
     scene(tmp_path / "a", n=12)
     paths = sorted((tmp_path / "a").glob("*.png"))
@@ -103,15 +99,3 @@ def test_check_of_a_sound_data_set_says_so(tmp_path):
     result = run_ok("data", "check", tmp_path / "a")
     assert "nothing is wrong" in result.output
     assert "6, all rigid motions" in result.output
-
-
-def test_check_finds_a_jump(tmp_path):
-    n = 40
-    before = scene(tmp_path / "a", n=n)
-    places = np.column_stack((0.02 * np.arange(n), np.zeros(n), np.zeros(n)))
-    places[25:] += 3
-    write_tum(tmp_path / "a" / "poses.tum", Trajectory(before.timestamps_s, places, np.tile([1.0, 0, 0, 0], (n, 1))))
-    (finding,) = check_recording(read_recording(tmp_path / "a")).findings
-    assert finding.count == 1
-    assert finding.what.startswith("position jumps")
-    assert finding.first == f"{5 + 0.1 * 25:.6f}.png"

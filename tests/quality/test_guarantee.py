@@ -53,14 +53,3 @@ def test_the_weight_that_is_needed_is_where_regions_become_bounded():
         (one,) = guarantees(whole)
         assert one.weight_needed == pytest.approx(9)
         assert one.finite == (one.weight >= 9)
-
-
-def test_what_is_missing_is_told_apart():
-    groups = np.repeat(np.arange(4), 5)
-    (few, _) = guarantees(model(20, 5, exchangeable=False, groups=groups))
-    assert not few.finite
-    assert not few.beyond_range
-    beyond = guarantees(model(60, 0, infinite=30))[0]
-    assert not beyond.finite
-    assert beyond.beyond_range
-    assert few.advice() != beyond.advice()

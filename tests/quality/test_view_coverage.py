@@ -91,14 +91,6 @@ def test_where_nothing_is_missing_nothing_is_reported(poses):
     assert verdict(found) == "good enough: yes"
 
 
-def test_between_two_recordings_nothing_is_missing():
-    poses = path(np.column_stack((np.where(EVERY < 60, 0, 50) + 0.04 * EVERY, ONE, ONE)))
-    found = pose_coverage(poses, (EVERY >= 60).astype(np.int64), poses, SCALE)
-    assert found.sparse == found.fast == []
-    found, _ = quality(poses, poses)
-    assert [(one.first, one.last) for one in found.coverage.fast] == [(59, 60)]
-
-
 def test_turns_that_are_missing_are_found():
     turning = yaw(0.02 * EVERY)
     found, _ = quality(turning, turning[:60])
@@ -106,18 +98,6 @@ def test_turns_that_are_missing_are_found():
     # frame 59 is the last that is known; 0.16 rad are more than 0.15
     assert (one.first, one.last) == (67, 119)
     assert one.angle_deg == pytest.approx(np.degrees(60 * 0.02), rel=0.02)
-
-
-def test_fast_turns_are_found_where_they_are():
-    rates = np.where((EVERY >= 40) & (EVERY < 45), 0.24, 0.02)
-    poses = yaw(np.concatenate(([0.0], np.cumsum(rates)))[:N])
-    found, lines = quality(poses, poses)
-    assert found.coverage.sparse == []
-    (one,) = found.coverage.fast
-    assert (one.first, one.last) == (40, 45)
-    assert one.angle_deg == pytest.approx(np.degrees(0.24))
-    assert "frames 40 to 45 (around x=0.0, y=0.0)" in lines[0]
-    assert "14 degrees" in lines[0]
 
 
 def test_the_nearest_view_is_the_one_that_a_search_through_all_finds():
@@ -134,18 +114,3 @@ def test_the_nearest_view_is_the_one_that_a_search_through_all_finds():
         np.testing.assert_allclose(
             pose_coverage(asked, np.zeros(300, dtype=np.int64), known, SCALE).change, expected, rtol=0.01
         )
-
-
-def test_without_a_known_frame_all_is_to_be_recorded():
-    poses = corridor()
-    found, lines = quality(poses, poses[:0])
-    assert found.coverage.sparse_frames.all()
-    assert [line[line.index("frames") :] for line in lines] == [
-        "frames 0 to 119 (around x=0.0, y=0.0): nothing is known."
-    ]
-
-
-def test_stretches_are_numbered_by_frames_where_some_have_no_pose():
-    poses, posed = corridor(), 2 * EVERY
-    found = pose_coverage(poses, ONE, poses[(EVERY < 50) | (EVERY >= 70)], SCALE, posed)
-    assert [(one.first, one.last) for one in found.sparse] == [(114, 124)]

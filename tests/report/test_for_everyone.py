@@ -126,24 +126,6 @@ def test_the_keyboard_plays_and_steps(opened, pages):
     assert page.inner_text("#play") == "Play"
 
 
-def test_keys_that_mean_something_else_are_left_alone(opened, pages):
-    page = opened(pages["run"])
-    page.focus("#speed")
-    page.keyboard.press("ArrowDown")
-    assert (where(page), page.input_value("#speed")) == (0, "2")
-    picture = "document.getElementById('space').toDataURL()"
-    before = page.evaluate(picture)
-    page.focus("#turning")
-    page.keyboard.press("ArrowRight")
-    turned = page.evaluate(picture)
-    page.keyboard.press("+")
-    assert len({before, turned, page.evaluate(picture)}) == 3
-    assert where(page) == 0
-    page.evaluate("document.activeElement.blur(); window.scrollTo(0, document.body.scrollHeight)")
-    page.keyboard.press("ArrowRight")
-    assert where(page) == 0  # the player is out of view
-
-
 def test_it_plays_once_when_opened_and_stops_at_the_end(opened, make_run, tmp_path):
     path = run_page(tmp_path, make_run, n=9)
     page = opened(path, motion="no-preference")
@@ -184,18 +166,3 @@ def test_sentences_follow_the_frame_and_are_not_called_out_one_upon_the_other(op
     page.click("#play")
     page.wait_for_timeout(700)
     assert frames[where(page)]["say"] in page.inner_text("#heard")
-
-
-def test_a_region_without_a_box_is_told_apart_by_its_pattern_not_by_colour(opened, pages):
-    page = opened(pages["run"])
-    page.fill("#scrub", "7")
-    assert "Unknown place (p = 0.003)" in page.inner_text("#seen")
-    shades = """() => {
-        const c = document.getElementById("plan");
-        const d = c.getContext("2d").getImageData(0, c.height / 2, c.width, 1).data;
-        return Array.from({length: c.width}, (_, i) => d[4 * i + 3] ? d[4 * i] + d[4 * i + 1] + d[4 * i + 2] : 0);
-    }"""
-    striped = np.array(page.evaluate(shades))
-    page.fill("#scrub", "8")
-    plain = np.array(page.evaluate(shades))
-    assert np.sum(np.abs(np.diff(striped)) > 30) > 2 * np.sum(np.abs(np.diff(plain)) > 30)

@@ -62,22 +62,3 @@ def test_the_picture_of_a_diagnosis_names_the_extra():
     done = python("import conformodal\nconformodal.draw_diagnosis")
     assert done.returncode == 1
     assert f"a picture of regions or coverage {NAMED}" in done.stderr
-
-
-@pytest.mark.slow
-def test_a_model_runs_and_writes_its_page(small_world, tmp_path):
-    out = tmp_path / "out"
-    script = "from conformodal.cli import main; main()"
-    done = python(script, "run", small_world.model, small_world.folder, "--part", "test", "--out", out)
-    assert done.returncode == 0, done.stderr
-    assert (out / "report.html").is_file()
-
-
-def test_a_check_with_a_page_is_refused_before_it_begins(small_world, tmp_path):
-    out = tmp_path / "out"
-    script = "from conformodal.cli import main; main()"
-    done = python(script, "data", "check", small_world.folder, "--out", out)
-    assert done.returncode == 2
-    assert NAMED in done.stderr.replace("\n", " ")
-    assert not done.stdout.strip()
-    assert not list(out.glob("*.json"))

@@ -11,7 +11,7 @@ from conformodal.geometry import Trajectory
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.results import region_record
 from conformodal.report.page import ReportContent, write_page
-from conformodal.report.viewer import Thumbnails, make_viewer
+from conformodal.report.viewer import make_viewer
 
 METRICS = {"provenance": {}, "configuration": {}, "n_answered": 60, "split_note": "all frames."}
 
@@ -116,13 +116,3 @@ def test_a_frame_that_shows_no_known_place_has_no_box():
     assert (known["kp"], known["ev"], known["whole"], known["ok"]) == (0.43, "landmarks", False, True)
     assert (unknown["kp"], unknown["ev"], unknown["whole"], unknown["ok"]) == (0.003, "unknown", True, False)
     assert unknown["size"] is None
-
-
-def test_thumbnails_are_spread_evenly():
-    thumbnails = Thumbnails(most=10, width=8)
-    for i in range(95):
-        thumbnails.add(str(i), np.full((6, 16, 3), i, np.uint8))
-    numbers = [int(name) for name in thumbnails.jpegs]
-    assert len(numbers) <= 10
-    assert len(set(np.diff(numbers))) == 1
-    assert numbers[-1] >= 80

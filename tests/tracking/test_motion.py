@@ -7,7 +7,7 @@ from conformodal.corridor.render import Renderer
 from conformodal.corridor.world import CorridorWorld
 from conformodal.geometry import MotionStatus, PinholeCamera
 from conformodal.io import read_recording
-from conformodal.tracking.frontend import EssentialFrontEnd, MotionFrontEnd
+from conformodal.tracking.frontend import MotionFrontEnd
 from conformodal.tracking.relative_pose import estimate_relative_motion, plane_motions
 from conformodal.tracking.settings import MOTION_ERRORS
 from conformodal.tracking.spreads import image_cells
@@ -96,50 +96,6 @@ def test_front_end_agrees_with_the_exact_poses_of_the_corridor():
         assert np.degrees(turn) < 2
         truth = relative[:3, 3] / np.linalg.norm(relative[:3, 3])
         assert motion.direction_prev @ truth > np.cos(np.radians(25))
-
-
-def test_an_essential_matrix_turns_as_the_camera_does():
-    poses, images, camera = flight()
-    front_end, off = EssentialFrontEnd(camera), []
-    black = np.zeros((camera.height, camera.width, 3), np.uint8)
-    assert front_end.measure(black) is None
-    assert front_end.measure(black).status is MotionStatus.TOO_FEW
-    front_end.reset()
-    assert front_end.measure(images[0]) is None
-    for t in range(1, len(images)):
-        motion = front_end.measure(images[t])
-        relative = np.linalg.inv(poses[t - 1]) @ poses[t]
-        off.append(np.degrees(Rotation.from_matrix(motion.R_prev_next.T @ relative[:3, :3]).magnitude()))
-        assert np.linalg.norm(motion.direction_prev) == pytest.approx(1)
-    assert np.median(off) < 1.0
-
-
-def test_motion_over_frames_passed_by_spans_them_all():
-    poses, images, camera = flight()
-    front_end = MotionFrontEnd(camera)
-    front_end.measure(images[0])
-    for image in images[1:4]:
-        front_end.track_only(image)
-    motion = front_end.measure(images[4])
-    relative = np.linalg.inv(poses[0]) @ poses[4]
-    assert np.degrees(Rotation.from_matrix(motion.R_prev_next.T @ relative[:3, :3]).magnitude()) < 2
-
-
-def test_renewed_corners_chain_rotations_and_leave_the_direction_out():
-    poses, images, camera = flight()
-    front_end = MotionFrontEnd(camera)
-    front_end.measure(images[0])
-    first = front_end.measure(images[1]).rotation_sigma_rad
-    front_end.reset()
-    front_end.measure(images[0])
-    front_end.track_only(images[1])
-    front_end._renew_corners()  # what happens when most corners are gone
-    front_end.track_only(images[2])
-    motion = front_end.measure(images[3])
-    assert motion.rotation_sigma_rad > first  # the last part's variance is added
-    assert motion.direction_prev is None
-    relative = np.linalg.inv(poses[0]) @ poses[3]
-    assert np.degrees(Rotation.from_matrix(motion.R_prev_next.T @ relative[:3, :3]).magnitude()) < 3
 
 
 def test_black_blank_and_cut_frames_do_not_break_the_stream():
