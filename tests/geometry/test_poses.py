@@ -53,14 +53,6 @@ def test_matrices_that_are_no_rotations_are_refused(matrix, match):
         check_rotation_matrices(np.stack([np.eye(3), matrix]))
 
 
-def test_errors_of_a_known_offset():
-    truth = random_trajectory()
-    turn = Rotation.from_rotvec([0, 0, np.radians(5)])
-    turned = (turn * Rotation.from_quat(truth.orientations_quat_wxyz, scalar_first=True)).as_quat(scalar_first=True)
-    errors = trajectory_errors(Trajectory(truth.timestamps_s, truth.positions_xyz + np.array([0, 3, 4]), turned), truth)
-    assert errors == pytest.approx({"rmse_m": 5, "rmse_deg": 5, "median_m": 5, "median_deg": 5})
-
-
 def test_association_pairs_nearest_times():
     truth, estimate = random_trajectory(10), random_trajectory(3)
     shifted = Trajectory(np.array([0.104, 0.35, 0.897]), estimate.positions_xyz, estimate.orientations_quat_wxyz)

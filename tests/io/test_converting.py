@@ -1,8 +1,5 @@
 """Conversions lose nothing in silence, and leave nothing by halves."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -120,34 +117,3 @@ def test_what_can_be_known_is_said_before_the_first_file(tmp_path, what):
         )
     assert progress == []
     assert [contents(tmp_path), sorted(tmp_path.rglob("*"))] == before
-
-
-SCRIPT = """
-import sys, time
-from pathlib import Path
-from conformodal.io import read_recording
-from conformodal.io.streams import RecordingStream
-from conformodal.io.convert import write_layout
-sequence = read_recording(sys.argv[1])
-def wait(number):
-    print(number, flush=True)
-    time.sleep(60)
-write_layout(Path(sys.argv[2]), "tum", RecordingStream(sequence), sequence.camera, sequence.truth, wait)
-"""
-
-
-def test_a_kill_leaves_no_half_data_set_and_the_same_call_goes_through(tmp_path):
-    folder = WRITERS[Layout.TUM](tmp_path / "a")
-    process = subprocess.Popen(
-        [sys.executable, "-c", SCRIPT, str(folder), str(tmp_path / "b")],
-        stdout=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-    )
-    assert process.stdout.readline().strip() == b"1"
-    process.kill()
-    process.wait(timeout=20)
-    process.stdout.close()
-    assert not (tmp_path / "b").exists()
-    run_ok("data", "convert", folder, "--to", "tum", "--out", tmp_path / "b")
-    assert {"a", "b"} <= {p.name for p in tmp_path.iterdir()}
-    assert len(read_recording(tmp_path / "b")) == N

@@ -145,33 +145,6 @@ def test_two_poses_for_one_time_are_no_pose(tmp_path):
         read_recording(folder)
 
 
-TIMES = {
-    "NaN": lambda times: "nan",
-    "overflowing": lambda times: "1e400",
-    "twice": lambda times: times[1],
-    "decreasing": lambda times: times[0],
-    "far ahead": lambda times: str(9 * int(times[2])) if times[2].isdigit() else f"{9 * float(times[2])}",
-}
-LISTS = {TUM: "rgb.txt", EUROC: "mav0/cam0/data.csv"}
-
-
-@pytest.mark.parametrize("what", TIMES)
-@pytest.mark.parametrize("layout", [TUM, KITTI, IMAGES, EUROC])
-def test_a_bad_time_costs_its_frame(tmp_path, what, layout):
-    folder = WRITERS[layout](tmp_path)
-    if layout is IMAGES:
-        for i, path in enumerate(sorted(folder.glob("*.png"))):
-            path.rename(folder / f"{i}.png")
-        (folder / "times.txt").write_text("\n".join(f"{100 + 0.1 * i}" for i in range(N)))
-    before = read_recording(folder)
-    path = folder / LISTS.get(layout, "times.txt")
-    separator = "," if layout is EUROC else " "
-    lines = [line.split(separator) for line in path.read_text().splitlines() if not line.startswith("#")]
-    lines[2][0] = TIMES[what]([line[0] for line in lines])
-    path.write_text("\n".join(map(separator.join, lines)))
-    expect(folder, layout, before, 2, rf"{path.name}|{before.image_paths[2].name}", always=True)
-
-
 # ---- files that are refused
 
 
@@ -371,28 +344,6 @@ def test_what_is_not_a_camera_is_refused_by_file_and_what_is_unlikely_is_told(tm
     with warnings.catch_warnings():
         warnings.simplefilter("error", DatasetWarning)
         assert read_recording(folder, layout).notes == ()
-
-
-@pytest.mark.parametrize("layout", [COLMAP, EUROC, NERF])
-@pytest.mark.parametrize(
-    ("size", "pixels", "scaled"),
-    [
-        ((640, 480), (400, 400, 320, 240), True),
-        ((640, 640), (400, 400, 320, 320), False),
-        ((48, 64), (40, 40, 24, 32), False),
-        ((0, 0), (40, 40, 32, 24), False),
-    ],
-)
-def test_a_size_that_the_file_states_scales_its_camera_or_refuses(tmp_path, layout, size, pixels, scaled):
-    folder = WRITERS[layout](tmp_path)
-    name = write_camera(layout, tmp_path, pixels, size=size)
-    if not scaled:
-        with pytest.raises(DatasetError, match=name):
-            read_recording(folder)
-        return
-    with pytest.warns(DatasetWarning, match=f"scaled from {size[0]}x{size[1]}"):
-        camera = read_recording(folder).camera
-    assert (camera.fx, camera.cx, camera.cy, camera.width) == pytest.approx((40, 32, 24, 64))
 
 
 # ---- what does no harm

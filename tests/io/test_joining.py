@@ -44,14 +44,6 @@ def test_a_data_set_that_tests_is_held_out_whole(sequence):
     assert join_recordings([part(sequence, 0, 3), part(sequence, 3, 9)]).given_test is None
 
 
-def test_frames_without_poses_are_joined_too(sequence):
-    blind = part(sequence, 0, 5, poses=None)
-    whole = join_recordings([blind, part(sequence, 5, 9)])
-    assert whole.truth is None
-    np.testing.assert_array_equal(whole.posed, np.arange(5, 9))
-    assert join_recordings([blind, part(sequence, 5, 9, poses=None)]).poses is None
-
-
 def test_images_of_another_camera_are_brought_to_the_first(sequence, tmp_path, monkeypatch):
     monkeypatch.setenv("CONFORMODAL_CACHE", str(tmp_path))
     other = replace(sequence.camera, fx=1.2 * sequence.camera.fx, fy=1.2 * sequence.camera.fy)

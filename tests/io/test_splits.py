@@ -92,22 +92,6 @@ def test_a_given_split_tests_on_the_list_and_calibrates_on_other_recordings(seed
     assert train | calibration == {0, 2, 6, 7, 8}
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_share_of_two_training_recordings_is_a_stretch_of_each(seed):
-    recording = np.repeat([0, 1, 2], [120, 80, 50])
-    given_test = recording == 2
-    split = {
-        used: make_split(recording, "given", seed=seed, given_test=given_test, used=used, calibration=0.2 * used)
-        for used in (0.4, 0.8)
-    }
-    assert split[0.4].test.tolist() == split[0.8].test.tolist() == np.flatnonzero(given_test).tolist()
-    assert {used: len(s.train) + len(s.calibration) for used, s in split.items()} == {0.4: 100, 0.8: 200}
-    for part in ("train", "calibration"):
-        less, more = split[0.4].part(part), split[0.8].part(part)
-        assert set(less.tolist()) < set(more.tolist())
-        assert np.all(np.diff(less) == 1)
-
-
 @pytest.mark.parametrize("kind", ["blocks", "recordings", "given"])
 def test_calibration_frames_drawn_at_random_come_from_every_training_recording(kind):
     from conformodal.io import with_random_calibration

@@ -3,9 +3,9 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from conformodal.conformal import QuantileBins, Regions, SplitConformal
+from conformodal.conformal import QuantileBins
 from conformodal.geometry import fix_sign
-from conformodal.localizer.belief import Beliefs, belief_cells, cells_per_bin, on_cells, recognised_only
+from conformodal.localizer.belief import Beliefs, belief_cells, cells_per_bin, recognised_only
 from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.fusion import fuse
 from conformodal.localizer.measurement import PoseMeasurement
@@ -58,17 +58,6 @@ def test_cells_hold_the_edges_of_the_bins_and_reach_beyond(bins):
     assert cells_per_bin(bins) == 80
     many = QuantileBins(900).fit(np.linspace(0, 1, 5000))
     assert belief_cells(many).sizes == [900 + 2 * BELIEF.beyond]
-
-
-def test_regions_over_bins_are_the_same_over_cells(bins):
-    proba = softmaxes(bins, 40)
-    rule = SplitConformal(bins, 0.3, "density").calibrate(
-        proba, np.column_stack([e[3:4].repeat(40) for e in bins.edges_])
-    )
-    alone = rule.predict(proba)
-    fine = Regions(belief_cells(bins), [on_cells(m, bins) for m in alone.masks], alone.unbounded)
-    np.testing.assert_allclose(fine.length, alone.length)
-    np.testing.assert_array_equal(fine.n_intervals, alone.n_intervals)
 
 
 def test_rows_add_up_to_one_whatever_is_believed(bins):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions
-from conformodal.localizer.candidates import Candidates, interval_candidates, mode_candidates, softmax_mean
+from conformodal.localizer.candidates import interval_candidates, mode_candidates
 from conformodal.localizer.settings import CANDIDATES
 
 K = 20
@@ -60,28 +60,10 @@ def test_intervals_stand_for_their_own_means_and_an_empty_set_for_its_best_bin()
     np.testing.assert_allclose(found.positions_xyz[:, 2], bins.centers[2][5], rtol=1e-6)
 
 
-def test_softmax_mean_is_unbiased_in_bin_coordinates():
-    bins = pose_bins()
-    mean = softmax_mean([bumps((8.25, 1))] * 7, bins)
-    np.testing.assert_allclose(mean[0, 0], np.interp(8.25, np.arange(K + 1), bins.edges_[0]), rtol=1e-3)
-
-
 @pytest.mark.parametrize(("apart", "n_modes"), [(1, 1), (3, 1), (5, 2), (9, 2)])
 def test_peaks_are_modes_where_little_lies_between(apart, n_modes):
     proba = [bumps((5.5, 0.6), (5.5 + apart, 0.4)), *[bumps((10.0, 1))] * 2, *identity_quat()]
     assert len(mode_candidates(proba, pose_bins())[0].positions_xyz) == n_modes
-
-
-def test_candidates_are_taken_joined_and_normalised():
-    one = mode_candidates([bumps((4, 0.7), (15, 0.3)), *[bumps((10, 1))] * 2, *identity_quat()], pose_bins())[0]
-    other = one.take(np.array([1, 0]))
-    np.testing.assert_array_equal(other.positions_xyz, one.positions_xyz[::-1])
-    np.testing.assert_array_equal(other.orientation_spreads_rad, one.orientation_spreads_rad[::-1])
-    joined = Candidates.concatenate((one, other.take(slice(0, 1))))
-    np.testing.assert_array_equal(joined.log_mass, [*one.log_mass, one.log_mass[1]])
-    share = joined.normalised(np.log(0.3))
-    assert np.exp(share.log_mass).sum() == pytest.approx(0.3)
-    np.testing.assert_allclose(np.diff(share.log_mass), np.diff(joined.log_mass))
 
 
 def test_components_that_cancel_give_an_orientation_of_no_weight():

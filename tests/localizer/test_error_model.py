@@ -98,23 +98,3 @@ def test_support_makes_an_inlier_more_probable_as_often_as_it_did():
     assert (found.log_odds, *found.slopes) == pytest.approx((0.5, 1.5, 0.0), abs=0.1)
     few, many = (found.apply(estimate(), share, 1.0).inlier_probability for share in (0.3, 3.0))
     assert few < 0.5 < many
-
-
-def test_support_never_makes_an_inlier_less_probable():
-    rng = np.random.default_rng(8)
-    support = np.exp(rng.normal(size=(2000, 2)))
-    inlier = rng.random(2000) < 1 / (1 + np.exp(np.log(support[:, 0]) - 0.8 * np.log(support[:, 1])))
-    errors = np.where(inlier, 0.1 * lengths(2000, 9), 30.0)
-    first, second = fit_error_model(held_out(errors, support=support), 2.0).slopes
-    assert first == 0
-    assert second == pytest.approx(0.8, abs=0.2)
-    alone = fit_error_model(held_out(errors, support=support[:, :1]), 2.0)
-    assert alone.slopes == (0.0,)
-    assert alone.apply(estimate(), 5.0).inlier_probability == pytest.approx((inlier.sum() + 1) / 2002)
-
-
-def test_cases_count_by_their_weights():
-    errors = np.concatenate((0.1 * lengths(100, 10), np.full(100, 30.0)))
-    weights = np.concatenate((np.ones(100), np.full(100, 0.05)))
-    found = fit_error_model(held_out(errors, weights=weights), 2.0)
-    assert found.apply(estimate(), 1.0).inlier_probability == pytest.approx(101 / (101 + 6), rel=1e-3)

@@ -17,7 +17,6 @@ from conformodal.localizer.filter import (
     filter_posteriors,
     hindsight_posteriors,
     predict,
-    tempered,
     update,
 )
 from conformodal.localizer.observations import Observations
@@ -41,10 +40,6 @@ def same(one, other):
     np.testing.assert_array_equal(one.hypotheses.positions_xyz, other.hypotheses.positions_xyz)
     np.testing.assert_array_equal(one.hypotheses.log_mass, other.hypotheses.log_mass)
     assert one.elsewhere == other.elsewhere
-
-
-def chosen(posteriors, seen):
-    return choose_places(posteriors, seen.timestamps_s, PRIOR)[0]
 
 
 @pytest.mark.parametrize("common", [0.0, 0.5, 1.0])
@@ -117,21 +112,6 @@ def test_probabilities_are_those_of_all_sequences_together(monkeypatch):
     np.testing.assert_allclose([p.probability for p in found], np.sort(first_two / first_two.sum())[::-1], rtol=2e-3)
 
 
-@pytest.mark.parametrize("n", [1, 10, 40])
-def test_tempering_does_not_favour_a_place_that_is_told_in_many_hypotheses(n):
-    rng = np.random.default_rng(0)
-    x = np.concatenate(([0.0], 5 + 0.05 * PRIOR.place_m * rng.normal(size=n)))
-    found = tempered(hypotheses(x, np.append(0.98, np.full(n, 0.02 / n))), 0.5, PRIOR)
-    mass = np.exp(found.log_mass)
-    expected = np.sqrt(0.98) / (np.sqrt(0.98) + np.sqrt(0.02))
-    assert mass.sum() == pytest.approx(1)
-    assert mass[0] == pytest.approx(expected, abs=0.002)
-    whole = tempered(found, 1.0, PRIOR)
-    np.testing.assert_allclose(whole.log_mass, found.log_mass)
-    turned = hypotheses([0.0, 0.0], [0.8, 0.2], quats=np.array([[1.0, 0, 0, 0], [0, 1.0, 0, 0]]))
-    assert np.exp(np.diff(tempered(turned, 0.5, PRIOR).log_mass)) == pytest.approx(0.5)  # opposite views are two places
-
-
 def test_images_that_follow_each_other_closely_say_less_together():
     """Ten images that speak for one of two places, 3 to 2: within a second, and within ten minutes."""
     told = hypotheses([0.0, 5.0], [0.6, 0.4])
@@ -163,19 +143,6 @@ def test_a_vague_hypothesis_does_not_link_places_out_of_reach(vague_m):
     quick = replace(PRIOR, top_speed_mps=(40.0, 40.0), volume_m3=100.0)
     x = choose_places(hindsight_posteriors(seen, quick), seen.timestamps_s, quick)[0].positions_xyz[:, 0]
     assert (np.abs(x[5:] - 5) < 0.1).all()
-
-
-def test_a_wrong_start_is_mended_in_hindsight_and_soon_online():
-    t, positions, rotations = path()
-    candidates = ambiguous(positions, rotations)
-    candidates[0] = replace(candidates[0], log_mass=np.log([0.1, 0.1, 0.3, 0.3, 0.1, 0.1]))
-    motions = exact_motions(positions, rotations)
-    motions[20] = None  # blind for a moment
-    seen = Observations(candidates, motions, t)
-    online, whole = chosen(filter_posteriors(seen, PRIOR), seen), chosen(hindsight_posteriors(seen, PRIOR), seen)
-    off = [np.linalg.norm(found.positions_xyz - positions, axis=1) for found in (online, whole)]
-    assert off[0][0] > 3
-    assert max(off[0][10:].max(), off[1].max()) < 0.5
 
 
 def test_images_of_unknown_places_do_not_move_the_path():

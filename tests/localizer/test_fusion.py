@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import norm
 
 from conformodal.geometry import angle_between_quats
 from conformodal.localizer.candidates import Candidates
@@ -36,13 +35,6 @@ def unmeasured_mass(mixture):
     return mass[~mixture.measured].sum() / mass.sum()
 
 
-def density_together(apart, *spreads):
-    """How well two poses at a distance along x agree, whose errors are normal."""
-    (one, other), (turn, other_turn) = spreads
-    place, facing = np.hypot(one, other), np.hypot(turn, other_turn)
-    return norm.pdf(apart, 0, place) * norm.pdf(0, 0, place) ** 2 * norm.pdf(0, 0, facing) ** 3
-
-
 @pytest.mark.parametrize("answers", [[], [[]], [[], []]])
 def test_an_image_without_estimates_keeps_its_modes(answers):
     own = modes([[0, 0, 0], [5, 0, 0]])
@@ -62,12 +54,6 @@ def test_an_estimate_takes_its_probability_from_the_modes_wherever_it_is(positio
     np.testing.assert_allclose(masses(found), [mass for mass, _ in expected], rtol=1e-12)
     np.testing.assert_array_equal(found.candidates.positions_xyz[:, 0], [x for _, x in expected])
     assert unmeasured_mass(found) == pytest.approx(1 - probability, rel=1e-12)
-
-
-@pytest.mark.parametrize(("probability", "counted"), [(1.0, 0.99), (0.0, 0.01)])
-def test_no_estimate_is_right_or_wrong_for_sure(probability, counted):
-    found = fuse(modes([[0, 0, 0]]), [[estimate([4, 0, 0], probability=probability)]])
-    assert masses(found)[found.measured] == pytest.approx(counted)
 
 
 def test_of_one_sources_estimates_at_most_one_is_right():
@@ -103,16 +89,6 @@ def test_estimates_of_two_sources_that_agree_are_refined_and_no_more_probable():
     np.testing.assert_array_equal(best.position_spreads[1:], [[0.2] * 3, [0.1] * 3])
 
 
-def test_of_several_estimates_that_agree_each_refines_by_how_much_it_overlaps():
-    answers = [estimate([0, 0, 0], 0.2, turn=0.1, probability=0.6), estimate([0.5, 0, 0], 0.3, probability=0.6)]
-    far = estimate([5, 0, 0], probability=0.6)
-    found = fuse(modes([[3, 0, 0]]), [[*answers, far], [estimate([0.2, 0, 0], 0.1, probability=0.7)]])
-    near = [density_together(0.2, (0.2, 0.1), (0.1, 0.05)), density_together(0.3, (0.3, 0.1), (0.05, 0.05))]
-    refined = 0.7 * np.array(near) / sum(near)
-    expected = sorted([*refined, *[0.3 * 1.5 / 5.5] * 3, 0.3 / 5.5], reverse=True)
-    np.testing.assert_allclose(masses(found), expected, rtol=1e-9)
-
-
 @pytest.mark.parametrize("angle", [0.0, 0.1])
 def test_estimates_agree_up_to_a_distance_in_standard_deviations(angle):
     """Of position and orientation together; beyond it neither pulls at the other."""
@@ -139,11 +115,6 @@ def test_estimates_that_disagree_are_not_moved():
     np.testing.assert_array_equal(turned.candidates.orientations_quat_wxyz[:2], quats(2.0, 0.0))
 
 
-def test_modes_of_the_softmax_refine_nothing():
-    near = fuse(modes([[0, 0, 0]]), [[estimate([0, 0, 0])], [estimate([9, 0, 0])]])
-    assert (near.candidates.position_spreads[near.measured] == 0.05).all()
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_masses_add_up_to_one_most_probable_first(seed):
     rng = np.random.default_rng(seed)
@@ -161,12 +132,3 @@ def test_masses_add_up_to_one_most_probable_first(seed):
     assert (np.diff(found.candidates.log_mass) <= 0).all()
     np.testing.assert_allclose(unmeasured_mass(found), np.exp(sum(inlier_odds(its)[0] for its in answers)), rtol=2e-3)
     np.testing.assert_allclose(np.linalg.norm(found.candidates.orientations_quat_wxyz, axis=1), 1)
-
-
-def test_two_signs_of_a_quaternion_are_one_rotation():
-    first, second = estimate([0, 0, 0], angle=0.2), estimate([0, 0, 0], angle=0.25)
-    flipped = PoseMeasurement(second.position_xyz, -second.orientation_quat_wxyz, 0.05, 0.05, 100, 0.9)
-    one, other = (fuse(modes([[9, 0, 0]]), [[first], [its]]) for its in (second, flipped))
-    np.testing.assert_allclose(one.candidates.log_mass, other.candidates.log_mass)
-    apart = angle_between_quats(one.candidates.orientations_quat_wxyz, other.candidates.orientations_quat_wxyz)
-    np.testing.assert_allclose(apart, 0, atol=1e-7)

@@ -87,20 +87,3 @@ def test_the_most_probable_is_taken_where_motion_is_unknown(motion):
     np.testing.assert_array_equal(found.positions_xyz, best[:, :3])
     expected = best[:, 3:] / np.linalg.norm(best[:, 3:], axis=1, keepdims=True)
     np.testing.assert_allclose(found.orientations_quat_wxyz, expected)
-
-
-def test_components_that_cancel_leave_the_orientation_before():
-    there, nothing = (
-        [BinRuns(np.array([v]), np.ones(1), np.zeros(1)) for v in (0.0, 0.0, 0.0, 0.0, q_x, 0.0, 0.0)]
-        for q_x in (1.0, 0.0)
-    )
-    found = greedy([there, nothing], [None, None], [0, 1])
-    np.testing.assert_array_equal(found.orientations_quat_wxyz, [[0, 1, 0, 0]] * 2)
-
-
-def test_without_a_direction_the_place_is_the_most_probable():
-    rng = np.random.default_rng(2)
-    intervals = [some_intervals(rng, [4] * 7) for _ in range(2)]
-    found = greedy(intervals, [None, RelativeMotion(MotionStatus.LOW_PARALLAX, np.eye(3))], [0, 1])
-    best = [intervals[1][j].mean[np.argmax(intervals[1][j].log_mass)] for j in range(3)]
-    np.testing.assert_array_equal(found.positions_xyz[1], best)

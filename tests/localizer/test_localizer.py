@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins
-from conformodal.localizer.candidates import mode_candidates
 from conformodal.localizer.errors import LocalizationError
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.fusion import fuse
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.measurement import PoseMeasurement
 from conformodal.localizer.sources import registry
@@ -93,23 +91,6 @@ def test_one_softmax_is_taken_as_it_is_and_of_several_the_mean(bins):
     two = Localizer((told(proba=a), silent, told(Other, proba=b)), bins, SIGN).beliefs(images(3))
     for p, q, r in zip(two.proba, a, b, strict=True):
         np.testing.assert_allclose(p, (q + r) / 2, rtol=1e-15)
-
-
-def test_each_image_has_the_mixture_of_its_modes_and_of_its_estimates_in_order_of_the_sources(bins):
-    proba = softmax(bins, 3)
-    first = told(measurements=[[estimate(2.0)], [], [estimate(2.0)]])
-    second = told(Other, measurements=[[], [], [estimate(8.0)]])
-    localizer = Localizer((told(Local, proba=proba), first, second), bins, SIGN)
-    found = localizer.beliefs(images(3))
-    answers = ([[estimate(2.0)], []], [[], []], [[estimate(2.0)], [estimate(8.0)]])
-    for mixture, modes, its in zip(found.mixtures, mode_candidates(proba, bins), answers, strict=True):
-        expected = fuse(modes, its)
-        np.testing.assert_array_equal(mixture.candidates.log_mass, expected.candidates.log_mass)
-        np.testing.assert_array_equal(mixture.candidates.positions_xyz, expected.candidates.positions_xyz)
-        np.testing.assert_array_equal(mixture.measured, expected.measured)
-    assert found.mixtures[2].candidates.positions_xyz[0, 0] == 8.0  # the later one takes precedence
-    for one, other in zip(localizer.marginals(found), found.marginals(bins, localizer.cells, SIGN), strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_only_sources_that_look_at_local_features_recognise_places(bins):

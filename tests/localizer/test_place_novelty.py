@@ -90,18 +90,6 @@ def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
             strict.set_novelty_level(level)
 
 
-def test_a_model_that_cannot_tell_takes_all_for_known(model, features):
-    blind = replace(model, novelty=None)
-    blind.set_novelty_level(0.3)
-    assert blind.rules.level == 0
-    with pytest.raises(OdometryError, match="looks at local features"):
-        blind.localize(FrameEvidence(features))
-    found = replace(blind, rules=replace(blind.rules, recognised=None), quality=None).localize(FrameEvidence(features))
-    np.testing.assert_array_equal(found.known_p, np.nan)
-    assert found.known.all()
-    assert PlaceNovelty.fit(features, np.zeros(len(features), np.int64), model.novelty.grid) is None
-
-
 GRID = (6, 8)
 
 
@@ -128,10 +116,3 @@ def test_repeated_pictures_keep_the_guarantee():
         known = PlaceNovelty.fit(pictures[drawn[:-1]], np.arange(n), GRID)
         found.append(known.p_values(FrameEvidence(pictures[drawn[-1:]]))[0] <= level)
     assert sum(found) <= stats.binom.ppf(0.999, len(found), level)
-
-
-@pytest.mark.parametrize(("level", "recognised"), [(0.9, 0.45), (1e-6, 0.0)])
-def test_a_recognised_place_is_tested_at_half_the_level_if_a_p_value_can_be_as_small(small_world, level, recognised):
-    model = load_model(small_world.model)
-    model.rules = replace(model.rules, level=level)
-    assert model.recognised_level == recognised

@@ -6,7 +6,6 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import hierarchical_maximum_quantile, hierarchical_quantile
 from conformodal.geometry import Trajectory
-from conformodal.localizer.errors import LocalizationError
 from conformodal.localizer.radius import Guarantee, fit_pose_radius, pose_errors, recordings_needed
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.selection import recording_errors
@@ -49,12 +48,6 @@ def test_nine_recordings_suffice_for_a_tenth():
     for guarantee in Guarantee:
         assert fit_pose_radius(errors[:8], 0.1, guarantee, "smoothed").radius_rad == np.inf
         assert np.isfinite(fit_pose_radius(errors, 0.1, guarantee, "smoothed").radius_rad)
-
-
-@pytest.mark.parametrize("metres_per_rad", [0.0, -1.0, np.inf, np.nan])
-def test_a_weight_of_metres_is_positive_and_finite(metres_per_rad):
-    with pytest.raises(LocalizationError, match="metres_per_rad"):
-        fit_pose_radius([([0.1], [0.1])] * 9, 0.1, Guarantee.FRAME, "smoothed", metres_per_rad=metres_per_rad)
 
 
 def test_the_radius_holds_both_errors_or_not():

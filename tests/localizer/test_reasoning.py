@@ -113,18 +113,6 @@ def test_submaps_carry_a_path_through_answers_that_err_for_long():
     assert rms(together - positions) < 0.35 * rms(alone - positions)
 
 
-@pytest.mark.parametrize("depth", [0.5 * DEPTH, DEPTH])
-def test_where_answers_say_nothing_depths_tell_the_length(depth):
-    """All frames are answered with one place, so only the depths to expect keep the path from shrinking to it."""
-    t, positions, rotations = path(15)
-    quats = rotations.as_quat(scalar_first=True)
-    lost = np.tile(positions.mean(axis=0), (15, 1))
-    submaps = exact_submaps(positions, rotations, depth=depth, sigma=0.001)
-    found = smooth_positions(lost, np.full((15, 3), 5.0), quats, t, DEEP, submaps)
-    extent, truth = (np.linalg.norm(p[-1] - p[0]) for p in (found, positions))
-    assert extent / truth == pytest.approx(DEPTH / depth, rel=0.1)
-
-
 def test_without_depths_to_expect_submaps_turn_but_do_not_place():
     t, positions, rotations = path(29)
     quats = rotations.as_quat(scalar_first=True)
@@ -134,15 +122,3 @@ def test_without_depths_to_expect_submaps_turn_but_do_not_place():
     arguments = noisy, np.full(noisy.shape, 0.05), quats, t
     np.testing.assert_array_equal(smooth_positions(*arguments, unknown, submaps), smooth_positions(*arguments, unknown))
     assert np.abs(smooth_positions(*arguments, DEEP, submaps) - smooth_positions(*arguments, DEEP)).max() > 1e-3
-
-
-def test_submaps_turn_orientations_that_err_for_long():
-    t, positions, rotations = path(43)
-    truth = rotations.as_quat(scalar_first=True)
-    turned = Rotation.from_rotvec(np.where((np.arange(43) // 9 == 2)[:, None], [0.0, 0.3, 0.0], 0.0)) * rotations
-    quats, spreads = turned.as_quat(scalar_first=True), np.full(43, 0.05)
-    submaps = exact_submaps(positions, rotations)
-    alone = smooth_orientations(quats, spreads, [None] * 43, t, DEEP)
-    together = smooth_orientations(quats, spreads, [None] * 43, t, DEEP, submaps)
-    error = [np.sqrt(np.mean(angle_between_quats(q, truth) ** 2)) for q in (alone, together)]
-    assert error[1] < 0.5 * error[0]

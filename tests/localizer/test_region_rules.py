@@ -139,11 +139,3 @@ def test_the_band_is_that_of_both_types_together(bins, n_recognised, n_new):
     table = coverage_table(statistics, model, exchangeable=True)
     law = [(80 - n_recognised, 100 - n_new), (n_recognised, n_new)]
     assert table["joint_band_99"] == list(grouped_coverage_band(law, 0.1))
-
-
-def test_scales_of_scores_that_need_them_are_those_of_the_whole(bins):
-    whole = SplitConformal(bins, 0.2, "density", "max")
-    whole.set_scale(np.arange(1.0, 8))
-    scores = np.random.default_rng(0).normal(size=(60, 7))
-    rules = RegionRules(whole.calibrate_scores(scores), None, np.ones(60), 0.0)
-    np.testing.assert_array_equal(rules.by_type[GLOBAL].thresholds_, whole.thresholds_)

@@ -5,7 +5,7 @@ import pytest
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal
 from conformodal.localizer.candidates import Candidates
-from conformodal.localizer.regions import PoseRegions, Support, pose_regions, pose_scores
+from conformodal.localizer.regions import Support, pose_regions, pose_scores
 
 N, CELLS = 40, 12
 EDGES = [np.linspace(0, 1, CELLS + 1)] * 3 + [np.linspace(-1, 1, CELLS + 1)] * 4
@@ -67,15 +67,6 @@ def test_region_holds_a_pose_exactly_where_its_score_is_at_most_the_level(belief
     assert (regions.volume <= Regions.volume.fget(product) + 1e-12).all()
 
 
-def test_the_levels_tell_supported_cuboids_from_the_product(beliefs):
-    proba, supports, _ = beliefs
-    regions = pose_regions(rule_of(), proba, supports, np.full(7, 0.9))
-    product = rule_of().regions_at(proba, np.full(7, 0.9))
-    n_product = np.prod(product.n_intervals.astype(float), axis=1)
-    assert (regions.n_places <= n_product).all()
-    assert regions.n_places.sum() < 0.1 * n_product.sum()
-
-
 def test_a_threshold_at_a_score_holds_that_pose(beliefs):
     proba, supports, targets = beliefs
     rule = rule_of()
@@ -114,16 +105,6 @@ def test_a_region_holds_the_poses_in_its_cuboids(beliefs):
         edges = regions.box_edges(i)
         inside = (edges[None, :, :, 0] <= targets[:, None]) & (targets[:, None] < edges[None, :, :, 1])
         np.testing.assert_array_equal(held, inside.all(axis=2).any(axis=1))
-
-
-def test_slices_and_concatenation_keep_places(beliefs):
-    proba, supports, targets = beliefs
-    regions = pose_regions(rule_of(), proba, supports, np.full(7, 0.9))
-    again = PoseRegions.concatenate([regions[:7], regions[np.arange(7, N)]])
-    np.testing.assert_array_equal(again.contains(targets, joint=True), regions.contains(targets, joint=True))
-    for i in range(N):
-        np.testing.assert_array_equal(again.boxes[i], regions.boxes[i])
-        np.testing.assert_array_equal(regions[i : i + 1].boxes[0], regions.boxes[i])
 
 
 def test_an_infinite_threshold_holds_every_pose(beliefs):

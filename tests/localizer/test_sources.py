@@ -90,21 +90,6 @@ def test_a_stored_head_answers_the_same(data_of):
     same_answers(found, back.answer(queries))
 
 
-@pytest.mark.parametrize("spread", [0.7, 0.0])
-def test_a_head_learns_from_order_aware_labels_or_from_one_hot_ones(data_of, monkeypatch, spread):
-    labels = []
-
-    def keep(features, targets, *others, **options):
-        labels.append(targets)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("conformodal.features.heads.fit_head", keep)
-    data = data_of(60, sigma_bins=spread)
-    with pytest.raises(KeyboardInterrupt):
-        HeadSource.fit(data, np.arange(60))
-    assert ((labels[0] == 0) | (labels[0] == 1)).all() == (spread == 0)
-
-
 @dataclass(frozen=True, eq=False)
 class MeanSource:
     """Says of every image that it was taken in the middle of all that it has seen."""

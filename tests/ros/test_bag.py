@@ -137,20 +137,6 @@ def test_lost_frames_and_recordings_apart(make_estimate, tmp_path):
     assert "/robot/camera/image/compressed" not in found
 
 
-def test_a_file_that_is_there_is_replaced_at_the_end_only(make_estimate, tmp_path):
-    path = tmp_path / "a.mcap"
-    path.write_bytes(b"before")
-    writer = BagWriter(path)
-    writer.log(Frame("0", 0.0, None), make_estimate(0.0))
-    assert path.read_bytes() == b"before"
-    writer.close()
-    written = path.read_bytes()
-    assert written.startswith(b"\x89MCAP0\r\n")
-    BagWriter(path).close()  # of no frame
-    assert path.read_bytes() == written
-    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
-
-
 def test_what_cannot_be_written_is_named(make_estimate, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     with pytest.raises(RosError, match="cannot be written"):

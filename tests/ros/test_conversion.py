@@ -7,10 +7,9 @@ from scipy.spatial.transform import Rotation
 from conformodal.geometry import Trajectory
 from conformodal.localizer.candidates import Candidates, mixture_covariance
 from conformodal.localizer.region_rules import EvidenceType
-from conformodal.ros.conventions import Conventions, Covariance, RosError
+from conformodal.ros.conventions import Conventions
 from conformodal.ros.conversion import Conversion
 from conformodal.ros.messages import make_pose, rosbags_factory
-from tests.helpers import pose_regions_of
 
 pytest.importorskip("rosbags")
 
@@ -45,16 +44,6 @@ def test_a_camera_that_looks_along_x_has_the_quaternion_of_the_textbook():
     np.testing.assert_allclose(sign * np.array([q.x, q.y, q.z, q.w]), [-0.5, 0.5, -0.5, 0.5], atol=1e-12)
 
 
-@pytest.mark.parametrize("kind", list(Covariance))
-@pytest.mark.parametrize("seed", SEEDS)
-def test_covariances_are_symmetric_and_positive_definite(make_estimate, kind, seed):
-    message = Conversion(Conventions(covariance=kind)).messages(make_estimate(seed=seed))["pose"]
-    assert message.pose.covariance.shape == (36,)
-    found = matrix_of(message)
-    np.testing.assert_array_equal(found, found.T)
-    assert np.linalg.eigvalsh(found).min() > 0
-
-
 def test_the_covariance_is_that_of_samples_in_the_order_of_ros(some_candidates):
     rng = np.random.default_rng(1)
     one = some_candidates(rng, 3)
@@ -76,21 +65,6 @@ def test_the_covariance_is_that_of_samples_in_the_order_of_ros(some_candidates):
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(found / scale, expected / scale, atol=0.02)
     assert np.abs((found / scale)[:3, 3:]).max() > 0.2  # position and rotation go together here
-
-
-def test_one_candidate_has_its_own_spreads_and_the_sign_of_a_quaternion_says_nothing(some_candidates):
-    rng = np.random.default_rng(3)
-    one = some_candidates(rng, 1)
-    found = mixture_covariance(one, one.positions_xyz[0], -one.orientations_quat_wxyz[0])
-    own = np.append(one.position_spreads[0], [one.orientation_spreads_rad[0]] * 3) ** 2
-    np.testing.assert_allclose(found, np.diag(own), atol=1e-11)
-
-
-def test_the_chosen_spread_is_that_of_the_estimate(make_estimate):
-    estimate = make_estimate(position_spread_m=0.6, orientation_spread_rad=0.2)
-    found = matrix_of(Conversion(Conventions(covariance=Covariance.CHOSEN)).messages(estimate)["pose"])
-    assert np.trace(found[:3, :3]) == pytest.approx(0.36)
-    np.testing.assert_allclose(np.diag(found)[3:], 0.04)
 
 
 @pytest.mark.parametrize("kind", [None, EvidenceType.UNKNOWN])
@@ -141,13 +115,6 @@ def test_of_many_boxes_those_that_hold_most_of_the_belief_are_kept(make_estimate
     assert (said["boxes"], said["boxes_shown"]) == (str(len(all_of_them)), "3")
 
 
-def test_a_whole_line_ends_in_the_distance(make_estimate):
-    estimate = make_estimate()
-    region = pose_regions_of(estimate.region.bins, estimate.region.masks, np.ones((1, 7), bool), [estimate.candidates])
-    (_, marker) = Conversion(Conventions(range_m=10)).messages(make_estimate(region=region))["region"].markers
-    assert (marker.scale.x, marker.scale.y, marker.scale.z) == (20, 20, 20)
-
-
 def test_the_path_is_revised_bounded_and_said_now_and_then(make_estimate):
     conversion = Conversion(Conventions(longest_path=4, path_every=3))
     quats = np.tile([1.0, 0, 0, 0], (9, 1))
@@ -164,9 +131,3 @@ def test_the_path_is_revised_bounded_and_said_now_and_then(make_estimate):
     assert found == [(2, 3), (3, 3), (5, 6), (6, 6)]  # revised when the path was published; 4 was lost
     conversion.reset()
     assert conversion.path(0).poses == []
-
-
-@pytest.mark.parametrize("time_s", [-0.5, 2.0**31])
-def test_times_that_ros_has_not_are_named(make_estimate, time_s):
-    with pytest.raises(RosError, match="a time of ROS must lie within"):
-        Conversion().messages(make_estimate(time_s))

@@ -8,8 +8,6 @@ from conformodal.io import read_recording
 from tests.helpers import refusal, run_ok
 from tests.io.streams.test_streams import camera_info, messages, write_bag
 
-rosbags = pytest.importorskip("rosbags")
-
 TIMES = np.arange(99.9, 102.8, 0.05)
 IMAGE_TIMES = 100 + 0.5 * np.arange(6)
 # of the camera (x right, y down) on a robot (x ahead, z up)
@@ -153,28 +151,8 @@ def test_transforms_lead_from_the_world_to_the_camera(tmp_path):
     assert "leads from odom to base_link, and not to 'cam'" in result
 
 
-def test_a_pose_that_is_not_a_number_is_left_out(tmp_path):
-    def broken(t):
-        return motion(t) if abs(t - 101) > 0.01 else motion(t) * [[1, 1, 1, np.nan]]
-
-    path = write_posed(tmp_path / "a", [("/o", "nav_msgs/msg/Odometry", broken, "cam", "odom", TIMES)])
-    sequence, output = converted(path, tmp_path / "out", "--poses", "/o")
-    check(sequence, motion)
-    assert "left out, pose cannot be used: " in output
-    assert "1 pose" in output
-
-
 def beside(t):
     return np.array([[1, 0, 0, 0], [0, 1, 0, 9], [0, 0, 1, 0], [0, 0, 0, 1.0]]) @ motion(t)
-
-
-def test_poses_that_are_sent_twice_are_used_once_and_those_of_two_nodes_refused(tmp_path):
-    odometry = ("/o", "nav_msgs/msg/Odometry", motion, "cam", "odom", TIMES)
-    sequence, _ = converted(write_posed(tmp_path / "a", [odometry] * 2), tmp_path / "same", "--poses", "/o")
-    check(sequence, motion)
-    both = write_posed(tmp_path / "b", [odometry, (*odometry[:2], beside, "cam", "odom", TIMES[::10])])
-    result = refusal("data", "convert", both, "--poses", "/o", "--out", tmp_path / "both")
-    assert "/o: 6 poses of cam have the time of another; do two nodes send them?" in result
 
 
 @pytest.mark.parametrize("topic", ["/o", "/tf"])
@@ -184,24 +162,6 @@ def test_poses_in_two_worlds_are_refused(tmp_path, topic):
     path = write_posed(tmp_path / "a", [few, (topic, kind, motion, "cam", "odom", TIMES)])
     result = refusal("data", "convert", path, "--poses", topic, "--out", tmp_path / "out")
     assert f"{topic}: has poses of cam in map and in odom" in result
-
-
-def test_transforms_that_are_sent_seldom_say_what_they_cost(tmp_path):
-    seldom = ("/tf", TF, lambda _: np.eye(4), "odom", "map", [100.0, 101.0, 102.5])
-    path = write_posed(tmp_path / "a", [seldom, ("/tf", TF, motion, "cam", "odom", TIMES)])
-    result = run_ok("data", "convert", path, "--poses", "/tf", "--out", tmp_path / "out")
-    output = " ".join(result.output.split())
-    assert "left out, transforms are apart: " in output
-    assert "55 of 58 poses: cam and odom are not sent within 0.15 s (max_gap_s) of each other" in output
-    sequence, output = converted(path, tmp_path / "more", "--poses", "/tf", "--max-gap", "2")
-    check(sequence, motion)
-
-
-def test_transforms_in_a_circle_are_refused(tmp_path):
-    sent = [("/tf", TF, motion, *frames, TIMES) for frames in (("cam", "odom"), ("odom", "cam"))]
-    path = write_posed(tmp_path / "a", sent)
-    result = refusal("data", "convert", path, "--poses", "/tf", "--out", tmp_path / "out")
-    assert "/tf: leads from cam to odom to cam, in a circle" in result
 
 
 def test_a_topic_without_poses_is_named(tmp_path):

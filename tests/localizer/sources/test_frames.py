@@ -75,34 +75,6 @@ def test_a_stored_source_answers_the_same_to_the_last_bit(world, looked_at, stat
             np.testing.assert_equal(vars(one), vars(other))
 
 
-def test_the_networks_map_retrieves_places_where_thumbnails_cannot(
-    world, looked_at, stated_camera, depth_m, monkeypatch
-):
-    """Thumbnails point to the wrong end of the path; a map of 2 by 2 cells with many channels to the right one."""
-    queries = np.arange(1, N, 8)
-    images = [world.see(world.poses_se3[i], seed=500 + i) for i in queries]
-    pictures = [image.global_descriptor for image in images]
-    images = [its._replace(global_descriptor=pictures[-1 - k]) for k, its in enumerate(images)]
-    maps = np.repeat([its.global_descriptor for its in world.local_features()], 4, axis=1)
-    features = np.concatenate((3 * maps, np.zeros((N, 768))), axis=1).astype(np.float32)  # of any length
-
-    def nearest(grid):
-        data = replace(data_of(world.poses_se3, stated_camera, depth_m, grid=grid), features=features)
-        source = LandmarkSource.from_state(LandmarkSource.fit(data, FRAMES).state())
-        assert source.map.global_descriptors.shape == (len(FRAMES), 768)
-        unmatched = FrameEvidence(np.zeros((2, 1), np.float32))
-        assert source.answer(unmatched).measurements == [[], []]
-        with monkeypatch.context() as patched:
-            patched.setattr(
-                LandmarkSource, "localize", lambda self, image: self.map.global_descriptors @ image.global_descriptor
-            )
-            similarities = source.answer(FrameEvidence(features[queries], images)).measurements
-        return FRAMES[np.argmax(similarities, axis=1)]
-
-    assert np.abs(nearest((2, 2)) - queries).max() <= 4
-    assert np.abs(nearest(None) - queries[::-1]).max() <= 4
-
-
 @pytest.mark.slow
 def test_folds_share_images_and_not_maps(world, looked_at, stated_camera, depth_m):
     """An image of two folds is looked at once; what the first fold knows alone is not in the second's map."""

@@ -10,10 +10,10 @@ from conformodal.features.local import Matcher, match
 from conformodal.geometry import Trajectory
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.geometry.settings import MAP_POSES
-from conformodal.localizer.settings import GUIDING, MAPPING, PNP
-from conformodal.localizer.sources import keyframes, mapping
+from conformodal.localizer.settings import MAPPING, PNP
+from conformodal.localizer.sources import mapping
 from conformodal.localizer.sources.landmarks import LandmarkSource
-from conformodal.localizer.sources.mapping import build_map, view_overlap
+from conformodal.localizer.sources.mapping import build_map
 from tests.localizer.sources.conftest import CAMERA, DEPTH, make_world
 
 
@@ -98,20 +98,6 @@ def test_a_map_is_adjusted_where_the_given_poses_have_errors_of_their_own(
     assert np.corrcoef(landmarks.corrections[:, :3].ravel(), true.ravel())[0, 1] > 0.6
 
 
-def test_guided_matching_finds_more_corners_and_makes_poses_more_precise(world_of, stated_camera, depth_m, monkeypatch):
-    world = world_of()
-    landmarks = build_map(world.local_features()[::2], world.poses_se3[::2], stated_camera, depth_m)
-    asked, off, inliers = range(1, 59, 4), {}, {}
-    images = [world.see(world.poses_se3[i], seed=300 + i, wrong=0.3) for i in asked]
-    for least in (10**6, GUIDING.least_inliers):
-        monkeypatch.setattr(keyframes, "GUIDING", replace(GUIDING, least_inliers=least))
-        found = [landmarks.localize(image)[0] for image in images]
-        off[least] = [errors(one, world.poses_se3[i])[0] for one, i in zip(found, asked, strict=True)]
-        inliers[least] = [one.n_inliers for one in found]
-    assert np.median(off[GUIDING.least_inliers]) <= np.median(off[10**6])
-    assert np.median(inliers[GUIDING.least_inliers]) > np.median(inliers[10**6])
-
-
 def test_hidden_keyframes_do_not_help(mapped):
     _, landmarks, image = mapped
     assert landmarks.localize(image)
@@ -133,17 +119,6 @@ def test_two_places_that_look_alike_give_two_estimates(world_of, stated_camera, 
     assert len(estimates) == 2
     near = sorted(estimate.position_xyz[0] for estimate in estimates)
     assert near[1] - near[0] == pytest.approx(100, abs=0.05)
-
-
-def test_corrections_take_off_what_neighbours_are_off_by(mapped):
-    plain, image = replace(mapped[1], corrections=np.zeros((60, 6))), mapped[2]
-    (before,) = plain.localize(image)
-    off = np.array([0.02, -0.01, 0.03, 0.0, 0.01, 0.0])
-    (after,) = replace(plain, corrections=np.tile(off, (60, 1))).localize(image)
-    np.testing.assert_allclose(before.position_xyz - after.position_xyz, off[:3], atol=1e-12)
-    turned = Rotation.from_quat([before.orientation_quat_wxyz, after.orientation_quat_wxyz], scalar_first=True)
-    np.testing.assert_allclose((turned[0] * turned[1].inv()).as_rotvec(), off[3:], atol=1e-12)
-    assert (after.sigma_m, after.sigma_rad) == (before.sigma_m, before.sigma_rad)  # all are off alike
 
 
 def test_an_image_of_something_else_gives_no_estimate(mapped):
@@ -168,17 +143,6 @@ def test_a_shared_matcher_changes_nothing_and_looks_for_no_pair_twice(world_of, 
     asked.clear()
     build_map(images[part], world.poses_se3[part], stated_camera, depth_m, matcher=Matcher())
     assert second < 0.9 * len(asked)
-
-
-def test_a_frame_sees_what_it_sees_and_nothing_behind_it(stated_camera, depth_m):
-    poses = np.tile(np.eye(4), (4, 1, 1))
-    poses[1, :3, :3] = Rotation.from_rotvec([0, np.pi, 0]).as_matrix()
-    poses[2, 0, 3] = 0.5
-    poses[3, 0, 3] = 1.5
-    shares = view_overlap(poses, 0, stated_camera, depth_m)
-    assert shares[0] == 1
-    assert shares[1] == 0
-    assert 1 > shares[2] > shares[3] > 0
 
 
 @pytest.mark.slow

@@ -65,25 +65,6 @@ def test_hidden_references_do_not_answer(radius):
     np.testing.assert_allclose(best(answers), [[0.3]], atol=0.02)
 
 
-def test_many_queries_are_answered_as_single_ones():
-    rng = np.random.default_rng(3)
-    model = regression(rng.normal(size=(90, 6)), rng.normal(size=(90, 2)), LocalSettings(6, 8, 0.1, 1.0))
-    queries = rng.normal(size=(600, 6)).astype(np.float32)
-    whole = model.predict(queries)
-    for i in (0, 255, 256, 599):
-        alone = model.predict(queries[i : i + 1])
-        np.testing.assert_allclose(alone.values[0], whole.values[i], rtol=1e-9)
-        np.testing.assert_allclose(alone.novelty[0], whole.novelty[i], rtol=1e-9)
-
-
-def test_novelty_is_the_distance_to_what_neighbours_span():
-    rng = np.random.default_rng(4)
-    x = np.column_stack((rng.normal(size=(100, 2)), np.zeros(100)))
-    model = regression(x, x[:, :1], LocalSettings(3, 10, 1e-9, None))
-    answers = model.predict(np.array([[0.1, 0.2, 0.0], [0.1, 0.2, 0.7]], dtype=np.float32))
-    np.testing.assert_allclose(answers.novelty, [0, 0.7], atol=1e-3)
-
-
 def test_settings_that_tell_copies_of_a_place_apart_are_chosen():
     x, y, _ = two_places(300)
     choices = [LocalSettings(2, 10, 0.03, radius) for radius in (None, 0.5)]
