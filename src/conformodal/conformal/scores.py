@@ -164,7 +164,7 @@ SCORES: dict[str, Score] = {
 
 
 def register_score(score: Score) -> Score:
-    """Make a score known by its name, to all that take the name of a score."""
+    """Make a score, such as an :class:`Aps` of another share, known by its name."""
     SCORES[score.name] = resolve_score(score)
     return score
 
