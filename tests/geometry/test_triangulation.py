@@ -7,8 +7,7 @@ import numpy as np
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.camera_fit import Matches, fit_camera
 from conformodal.geometry.map_poses import TriangulatedRays, choose_tracks
-from conformodal.geometry.settings import TRIANGULATION
-from conformodal.geometry.triangulation import Rays, triangulate
+from conformodal.geometry.triangulation import MIN_PARALLAX_RAD, Rays, triangulate
 
 CAMERA = PinholeCamera(500, 500, 320, 240, 640, 480)
 
@@ -64,8 +63,8 @@ def test_a_corner_that_no_other_camera_sees_is_no_point():
 
 def test_points_without_parallax_or_behind_are_not_sound():
     centres = np.array([[0.0, 0, 0], [0.1, 0, 0]])
-    near = 0.1 / np.tan(1.5 * TRIANGULATION.min_parallax_rad)
-    far = 0.1 / np.tan(0.5 * TRIANGULATION.min_parallax_rad)
+    near = 0.1 / np.tan(1.5 * MIN_PARALLAX_RAD)
+    far = 0.1 / np.tan(0.5 * MIN_PARALLAX_RAD)
     _, sound = triangulate(rays_to(np.array([[0.0, 0, near], [0, 0, far]]), centres), 0.005)
     assert sound.tolist() == [True, False]
     behind = rays_to(np.array([[0.3, 0.1, -2.0]]), centres)  # a ray has no sign on the plane: it meets behind

@@ -8,9 +8,8 @@ from conformodal.corridor.world import CorridorWorld
 from conformodal.geometry import MotionStatus, PinholeCamera
 from conformodal.io import read_recording
 from conformodal.tracking.frontend import MotionFrontEnd
-from conformodal.tracking.relative_pose import estimate_relative_motion, plane_motions
+from conformodal.tracking.relative_pose import estimate_relative_motion, image_cells, plane_motions
 from conformodal.tracking.settings import MOTION_ERRORS
-from conformodal.tracking.spreads import image_cells
 from conformodal.tracking.two_view import solve_opencv, solve_poselib
 
 CAMERA = PinholeCamera(500, 510, 320, 240, 640, 480)

@@ -17,9 +17,13 @@ from scipy.spatial.transform import Rotation
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.geometry import PinholeCamera, rigid_motions
 
-from .settings import CAMERA_FIT
-
 NO_DELAY = np.zeros(2)
+_MOST, _LEAST = 10000, 400  # matches: half are fitted, half check the fit
+_SCALE_PX = 1.5  # of the Cauchy loss
+# prior standard deviations: of the logarithm of the focal length, of the mount's angles and of its position in scene
+# depths, and of the shutter's delays
+_SIGMA_LOG_FOCAL, _SIGMA_MOUNT_RAD, _SIGMA_MOUNT_DEPTHS, _SIGMA_S = 0.2, 0.05, 0.05, 0.02
+_MOST_SIGMAS = 3.0  # further off, the poses do not belong to the images
 
 
 class Matches(NamedTuple):
@@ -45,26 +49,26 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
     one, the given one is returned. Delays that are out of range are left out, and the rest is judged without them.
     """
     given = Mounted(replace(camera, distortion=()), np.eye(4))
-    if len(matches.frames) < CAMERA_FIT.least:
+    if len(matches.frames) < _LEAST:
         return given
-    order = np.random.default_rng(0).permutation(len(matches.frames))[: CAMERA_FIT.most]
+    order = np.random.default_rng(0).permutation(len(matches.frames))[:_MOST]
     fitted, checked = (
         Matches(matches.frames[half], matches.pixels[half], matches.flows[half]) for half in np.array_split(order, 2)
     )
-    mount_m = CAMERA_FIT.sigma_mount_depths * depth_m
-    sigmas = CAMERA_FIT.sigma_log_focal, CAMERA_FIT.sigma_mount_rad, mount_m, CAMERA_FIT.sigma_s
+    mount_m = _SIGMA_MOUNT_DEPTHS * depth_m
+    sigmas = _SIGMA_LOG_FOCAL, _SIGMA_MOUNT_RAD, mount_m, _SIGMA_S
     spreads = np.repeat(sigmas, (1, 3, 3, 2))
 
     def residuals(unknowns: FloatArray) -> FloatArray:
         errors = _epipolar_errors_px(_mounted(given, unknowns * spreads), fitted, poses_se3)
-        return np.concatenate((errors / CAMERA_FIT.scale_px, unknowns))
+        return np.concatenate((errors / _SCALE_PX, unknowns))
 
     unknowns = least_squares(residuals, np.zeros(9), loss="cauchy", max_nfev=30).x
-    if np.abs(unknowns[7:]).max() >= CAMERA_FIT.most_sigmas:
+    if np.abs(unknowns[7:]).max() >= _MOST_SIGMAS:
         unknowns[7:] = 0
     better = _mounted(given, unknowns * spreads)
     before, after = (float(np.median(np.abs(_epipolar_errors_px(m, checked, poses_se3)))) for m in (given, better))
-    return better if after < before and np.abs(unknowns).max() < CAMERA_FIT.most_sigmas else given
+    return better if after < before and np.abs(unknowns).max() < _MOST_SIGMAS else given
 
 
 def _mounted(given: Mounted, unknowns: FloatArray) -> Mounted:

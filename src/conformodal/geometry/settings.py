@@ -1,33 +1,10 @@
-"""Settings of triangulation, adjustment and camera fit that are chosen, not learnt."""
+"""Settings of adjustment that are chosen, not learnt."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-
-
-@dataclass(frozen=True)
-class _TriangulationSettings:
-    """Robust triangulation of landmarks."""
-
-    min_parallax_rad: float = float(np.radians(2.5))
-    iterations: int = 4
-    doubt: float = 0.4  # share of the tolerance above which residuals are downweighted
-
-
-@dataclass(frozen=True)
-class _CameraFitSettings:
-    """Camera calibration from known poses."""
-
-    most: int = 10000  # matches: half are fitted, half check the fit
-    least: int = 400
-    scale_px: float = 1.5  # of the Cauchy loss
-    sigma_log_focal: float = 0.2  # prior standard deviation of the logarithm of the focal length
-    sigma_mount_rad: float = 0.05  # of the mount's angles
-    sigma_mount_depths: float = 0.05  # of the mount's position, in scene depths
-    sigma_s: float = 0.02  # of the shutter's delays
-    most_sigmas: float = 3.0  # further off, the poses do not belong to the images
 
 
 @dataclass(frozen=True)
@@ -63,5 +40,4 @@ class _MapPosesSettings:
     sigma_focal: float = 0.02  # of the logarithm of the focal length
 
 
-TRIANGULATION, CAMERA_FIT = _TriangulationSettings(), _CameraFitSettings()
 SOLVER, MAP_POSES = _SolverSettings(), _MapPosesSettings()

@@ -8,7 +8,9 @@ import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
-from .settings import TRIANGULATION
+MIN_PARALLAX_RAD = float(np.radians(2.5))
+_ITERATIONS = 4
+_DOUBT = 0.4  # share of the tolerance above which residuals are downweighted
 
 
 class Rays(NamedTuple):
@@ -54,19 +56,19 @@ def triangulate(rays: Rays, tolerance: float) -> Points:
     onto = np.eye(3) - world[:, :, None] * world[:, None]  # the plane across a ray
     across = centres - world * (world * centres).sum(axis=1, keepdims=True)
     weights = np.ones(len(world))
-    for _ in range(TRIANGULATION.iterations):
+    for _ in range(_ITERATIONS):
         matrix = np.add.reduceat(weights[:, None, None] * onto, starts) + 1e-9 * np.eye(3)
         right = np.add.reduceat(weights[:, None] * across, starts)
         points = np.linalg.solve(matrix, right[..., None])[..., 0]
         apart = points[corner] - centres
         square, along = np.maximum((apart**2).sum(axis=1), 1e-12), (apart * world).sum(axis=1)
         off = np.sqrt(np.maximum(square - along**2, 0) / square)
-        weights = 1 / square / (1 + (off / (TRIANGULATION.doubt * tolerance)) ** 2)
+        weights = 1 / square / (1 + (off / (_DOUBT * tolerance)) ** 2)
         weights /= np.maximum(np.maximum.reduceat(weights, starts), 1e-12)[corner]
     agree = (off < tolerance) & (along > 0)
     cosine = np.where(agree, (world[starts][corner] * world).sum(axis=1), 1.0)
     xyz[corners] = points
-    reliable[corners] = agree[starts] & (np.minimum.reduceat(cosine, starts) < np.cos(TRIANGULATION.min_parallax_rad))
+    reliable[corners] = agree[starts] & (np.minimum.reduceat(cosine, starts) < np.cos(MIN_PARALLAX_RAD))
     return Points(xyz, reliable)
 
 

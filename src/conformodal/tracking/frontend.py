@@ -73,21 +73,18 @@ class MotionFrontEnd(FrontEnd):
         self._parts: list[RelativeMotion] = []  # from the frame measured last to the mark
 
     def reset(self) -> None:
-        """Start a new recording."""
+        """As of the class above."""
         super().reset()
         self._parts = []
 
     def track_only(self, image: UInt8Array) -> None:
-        """Track corners through a frame (height, width[, 3]) without measuring a motion."""
+        """As of the class above; corners are renewed where most of them are lost."""
         super().track_only(image)
         if len(self.tracker.pairs()[0]) < RELATIVE_POSE.remark_below * self.tracker.n_at_mark:
             self._renew_corners()
 
     def measure(self, image: UInt8Array) -> RelativeMotion | None:
-        """Motion from the frame measured last to this one.
-
-        None for the first frame of a recording, or a motion with status ``TOO_FEW`` if it is blank.
-        """
+        """As of the class above, but with status ``TOO_FEW`` if the first frame of a recording is blank."""
         motion = super().measure(image)
         if motion is None and self.tracker.n_at_mark < RELATIVE_POSE.min_tracks:
             return RelativeMotion(MotionStatus.TOO_FEW, n_tracks=self.tracker.n_at_mark)
