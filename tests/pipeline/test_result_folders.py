@@ -244,13 +244,13 @@ def world(small_world, tmp_path_factory):
     for path in sorted((small_world.folder / "seq-01").glob("*.png"))[:2]:
         (root / "bad" / path.name).write_bytes(path.read_bytes()[:200])
     write_results(root / "out")
-    fill(root, {"mine/truth.tum": "mine", "flight/corridor/seq-01/frame-000000.color.png": "mine"})
+    fill(root, {"mine/truth.tum": "mine"})
     return root
 
 
 REFUSED = [
     "run m data --out m", "run m data --out data", "run m data --out mine", "train data --out data",
-    "run m bad --out out --format images", "demo --out flight",
+    "run m bad --out out --format images",
 ]  # fmt: skip
 
 

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 import time
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
 
-from conformodal.core.files import write_whole
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.words import counted, noun_for
-from conformodal.corridor.ambiguity import AmbiguityCheck, check_ambiguity
+from conformodal.corridor.ambiguity import LookAlikes, count_look_alikes, find_look_alikes
 from conformodal.corridor.render import Renderer
 from conformodal.corridor.world import CorridorWorld
 from conformodal.corridor.writer import write_corridor
@@ -24,7 +20,6 @@ from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory
 from conformodal.io import Recording, read_recording
-from conformodal.io.folders import FolderError
 from conformodal.io.pose_files import write_tum
 from conformodal.io.streams.frames import Frame
 from conformodal.io.streams.stored import RecordingStream
@@ -41,7 +36,7 @@ from .answering import Answers, Part, answer_stream, metrics_of, part_frames, wr
 from .console import print_where, progress_bars, report_line
 from .failures import report_errors
 from .outcome import describe_outcome, report_outcome
-from .train import train_on
+from .training import train_on
 
 N_MODULES, N_LAPS = 5, 2
 # Strong dropout: in a world made of copies, a network that remembers frames tells copies apart by chance details. All
@@ -75,7 +70,7 @@ def demo(
     """Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and motion."""
     started, config, features = time.perf_counter(), _config(method, seed), FeatureCache(out / "cache")
     with lock_output(out, "demo"), progress_bars(out) as report:
-        sequence = _corridor(out / "corridor", seed, report)
+        sequence = _corridor(out / "corridor" / f"seed-{seed}", seed, report)
         model = train_on(sequence, config, out / "model", features=features, report=report)
         answered = _AnsweredFrames()
         stream = RecordingStream(sequence, part_frames(model, sequence, Part.TEST))
@@ -87,22 +82,28 @@ def demo(
         answers.trajectories["classical"] = classical.trajectory(looked_at, truth.timestamps_s)
         write_tum(out / "methods" / "classical.tum", answers.trajectories["classical"])
         world = CorridorWorld(N_MODULES, seed=seed)
-        check = check_ambiguity(regions, truth, model.sign_reference, Renderer(world), stage_of(report, "look-alikes"))
-        metrics = {**metrics_of(answers), "command": "demo", "ambiguity": check.record()}
+        renderer, progress = Renderer(world), stage_of(report, "look-alikes")
+        look_alikes = find_look_alikes(regions, truth, model.sign_reference, renderer, progress)
+        metrics = {**metrics_of(answers), "command": "demo", "ambiguity": count_look_alikes(look_alikes)}
         metrics["seconds"] = round(time.perf_counter() - started, 2)
-        place_line = _describe_places(metrics["ambiguity"])
+        places = metrics["ambiguity"]
+        alike = (
+            f"{counted(places['n_frames'], 'frame')} with {counted(places['n_places'], 'other place')} of the same "
+            f"view; the regions hold {100 * places['share_held']:.1f} % of these."
+        )
         summary = [
             f"A drone flew along a dark hallway of {counted(N_MODULES, 'identical module')}, into every room. "
             f"{counted(len(model.split.train), 'frame')} trained a network, {len(model.split.calibration)} calibrated "
             f"its regions, {len(truth)} were held out ({metrics['split_note']})",
-            place_line,
+            alike,
+            *describe_outcome("demo", metrics),
         ]
         title = "conformodal: a corridor of identical rooms"
         title += ", by the paper's system" if method is Method.PAPER else ""
-        figure = _plan(answers, regions, truth, world, check)
-        write_answers(answers, metrics, title, [*summary, *describe_outcome("demo", metrics)], [figure], world.plan())
-    report_outcome("demo", metrics, unbounded=answers.unbounded)
-    report_line(place_line)
+        figure = _plan(answers, regions, truth, world, look_alikes)
+        write_answers(answers, metrics, title, summary, [figure], world.plan())
+    report_outcome("demo", metrics)
+    report_line(alike)
     rmse_m = {name: row["rmse_m"] for name, row in metrics["errors"].items()}
     regressor = rmse_m.pop("classical")
     ratios = ", ".join(f"{name} {regressor / error:.2f}" for name, error in rmse_m.items())
@@ -120,37 +121,19 @@ def _config(method: Method, seed: int) -> ModelConfig:
 
 
 def _corridor(folder: Path, seed: int, report: StageProgress) -> Recording:
-    """The flight of a seed; one that an earlier demo wrote is not written again."""
-    mark, flight = folder / "demo.json", folder / "seq-01"
-    wanted: dict[str, int] = {"seed": seed, "n_modules": N_MODULES, "n_laps": N_LAPS}
-    if folder.exists() and not mark.is_file() and (not folder.is_dir() or any(folder.iterdir())):
-        raise FolderError(f"{folder}: was not written by demo, which would overwrite it; take another folder")
-    written: Any = None
-    with suppress(OSError, ValueError):
-        written = json.loads(mark.read_text(encoding="utf-8"))
-    if written != wanted:  # marked as unfinished until the flight of this seed is there
-        write_whole(mark, "{}\n")
-        shutil.rmtree(flight, ignore_errors=True)
-    if not flight.is_dir():
+    """The flight of a seed; one that is there is not written again."""
+    if not (folder / "seq-01").is_dir():
         write_corridor(folder, n_modules=N_MODULES, n_laps=N_LAPS, seed=seed, progress=stage_of(report, "corridor"))
-    write_whole(mark, json.dumps(wanted) + "\n")
     return read_recording(folder)
 
 
-def _describe_places(ambiguity: dict[str, Any]) -> str:
-    """How many places look the same, and how many of them the regions hold."""
-    n_frames, n_places = counted(ambiguity["n_frames"], "frame"), counted(ambiguity["n_places"], "other place")
-    held = 100 * ambiguity["share_held"]
-    return f"{n_frames} with {n_places} of the same view; the regions hold {held:.1f} % of these."
-
-
 def _plan(
-    answers: Answers, regions: PoseRegions, truth: Trajectory, world: CorridorWorld, check: AmbiguityCheck
+    answers: Answers, regions: PoseRegions, truth: Trajectory, world: CorridorWorld, look_alikes: list[LookAlikes]
 ) -> PageFigure:
     """The plan of a frame that has most look-alike places, all of them held."""
-    index = int(np.argmax([len(p) if held.all() else -1 for p, held in zip(check.places, check.held, strict=True)]))
-    n, name = len(check.places[index]), answers.writer.records[index]["frame"]
-    paper = answers.model.method is Method.PAPER
+    index = int(np.argmax([len(one.held) if one.held.all() else -1 for one in look_alikes]))
+    chosen, name = look_alikes[index], answers.writer.records[index]["frame"]
+    n, paper = len(chosen.held), answers.model.method is Method.PAPER
     svg = plan_figure(
         regions,
         next(iter(answers.trajectories.values())),
@@ -158,11 +141,11 @@ def _plan(
         truth,
         classical=answers.trajectories["classical"],
         walls=world.plan(),
-        alike=check.places[index],
+        alike=chosen.positions_xyz,
         label="the paper's greedy answer" if paper else "conformal, after reasoning",
     )
     caption = (
         f"{name}, from above. {counted(n, 'other place')} {noun_for(n, 'has', 'have')} the same view: the region holds "
-        f"{int(check.held[index].sum())}."
+        f"{int(chosen.held.sum())}."
     )
     return PageFigure("plan", "One frame, and every place with the same view", caption, svg)

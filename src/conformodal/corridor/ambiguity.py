@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,37 +15,38 @@ from conformodal.localizer.targets import pose_targets
 from .render import Renderer, same_views
 
 
-@dataclass(eq=False)
-class AmbiguityCheck:
-    """Other places with the same view, and whether the regions hold them."""
+@dataclass(frozen=True, eq=False)
+class LookAlikes:
+    """Other places with the same view as a frame."""
 
-    places: list[FloatArray] = field(default_factory=list)  # one (m, 3) array per frame: positions in metres
-    held: list[BoolArray] = field(default_factory=list)  # one (m,) array per frame: whether the region holds the pose
-
-    def record(self) -> dict[str, Any]:
-        """For ``metrics.json``: frames with such places, all of these places, and the share that the regions hold."""
-        n_places, n_held = sum(map(len, self.places)), sum(int(held.sum()) for held in self.held)
-        n_frames = sum(len(places) > 0 for places in self.places)
-        return {"n_frames": n_frames, "n_places": n_places, "share_held": n_held / max(n_places, 1)}
+    positions_xyz: FloatArray  # (m, 3) metres
+    held: BoolArray  # (m,) whether the frame's region holds the pose there
 
 
-def check_ambiguity(
+def find_look_alikes(
     regions: PoseRegions,
     truth: Trajectory,
     sign_reference: FloatArray,
     renderer: Renderer,
     progress: Progress | None = None,
-) -> AmbiguityCheck:
-    """Look for every frame's look-alike places in the corridor, and check whether the regions hold them."""
-    check = AmbiguityCheck()
+) -> list[LookAlikes]:
+    """Look for every frame's look-alike places in the corridor, and check whether its region holds them."""
+    every = []
     for i, pose in enumerate(truth.poses_se3):
         others = same_views(renderer, pose)
         targets = np.zeros((0, 7))
         if len(others):
             there = Trajectory.from_poses_se3(np.arange(float(len(others))), others)
             targets = pose_targets(there, sign_reference)
-        check.places.append(others[:, :3, 3])
-        check.held.append(regions[np.full(len(targets), i)].contains(targets, joint=True))
+        held = regions[np.full(len(targets), i)].contains(targets, joint=True)
+        every.append(LookAlikes(others[:, :3, 3], held))
         if progress is not None:
             progress(i + 1, len(truth))
-    return check
+    return every
+
+
+def count_look_alikes(every: list[LookAlikes]) -> dict[str, float]:
+    """For ``metrics.json``: frames with such places, all of these places, and the share that the regions hold."""
+    held = np.concatenate([one.held for one in every])
+    n_frames = sum(len(one.held) > 0 for one in every)
+    return {"n_frames": n_frames, "n_places": len(held), "share_held": float(held.sum() / max(len(held), 1))}

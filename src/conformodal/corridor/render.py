@@ -29,11 +29,7 @@ class Renderer:
         columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
         pixels = np.column_stack((columns.ravel(), rows.ravel())).astype(np.float64)
         self._rays_cam = camera.bearings(pixels)
-        self._load_panels()
-
-    def _load_panels(self) -> None:
-        panels = self.world.panels
-        textures = make_textures(self.world.seed)
+        panels, n_texels = world.panels, 0
         self._corner = np.array([p.corner for p in panels])
         u, v = np.array([p.u for p in panels]), np.array([p.v for p in panels])
         self._u = u / np.linalg.norm(u, axis=1, keepdims=True)
@@ -42,14 +38,14 @@ class Renderer:
         self._uv = np.array([p.uv for p in panels])
         # one long array of texels; per panel and pyramid level, where its image starts and how large it is
         starts: dict[str, list[tuple[int, int, int]]] = {}
-        flat, at = [], 0
-        for name, levels in textures.items():
+        texels = []
+        for name, levels in make_textures(world.seed).items():
             starts[name] = []
             for image in levels:
-                starts[name].append((at, image.shape[0], image.shape[1]))
-                flat.append(image.reshape(-1, 3))
-                at += flat[-1].shape[0]
-        self._texels = np.concatenate(flat)
+                starts[name].append((n_texels, image.shape[0], image.shape[1]))
+                texels.append(image.reshape(-1, 3))
+                n_texels += len(texels[-1])
+        self._texels = np.concatenate(texels)
         self._image_at = np.array([starts[p.material] for p in panels])  # (panels, levels, 3)
 
     def render(self, T_world_cam: FloatArray, noise_seed: int | None = None) -> UInt8Array:

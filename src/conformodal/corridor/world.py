@@ -59,13 +59,8 @@ class Building(ABC):
 
     def plan(self) -> list[FloatArray]:
         """Walls as seen from above: (2, 2) segments of x, y."""
-        segments = []
-        for panel in self.panels:
-            corner, u, v = np.array(panel.corner), np.array(panel.u), np.array(panel.v)
-            upright = abs(v[2]) > 0 and panel.corner[2] < 1.0
-            if upright and u[2] == 0:
-                segments.append(np.array([corner[:2], (corner + u)[:2]]))
-        return segments
+        upright = [p for p in self.panels if p.v[2] > 0 and p.u[2] == 0 and p.corner[2] < 1.0]
+        return [np.array([p.corner[:2], (p.corner[0] + p.u[0], p.corner[1] + p.u[1])]) for p in upright]
 
 
 def box(corner: Vector, size: Vector, material: str) -> list[Panel]:
