@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.geometry import Trajectory
 from conformodal.io import Recording
@@ -28,12 +29,12 @@ from conformodal.pipeline.identity import identify, same_poses
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.provenance import provenance
-from conformodal.pipeline.results import ResultsWriter, write_metrics, write_region_parquet
+from conformodal.pipeline.results import ResultsWriter, record_bounded, write_metrics, write_region_parquet
 from conformodal.pipeline.stream import StreamRunner
 from conformodal.report.page import PAGE, PageFigure, ReportContent, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
 
-from .console import StageReport, report_line
+from .console import report_line
 
 INTERRUPTED = "interrupted"
 _SAME_CAMERA = 1e-6  # share of the image width that intrinsics may differ by: text files round them
@@ -61,13 +62,11 @@ class Answers:
     """Answers to a stream, as they are in its folder of results."""
 
     model: PoseModel
-    name: str  # of the stream
     part: Part
     runner: StreamRunner
     writer: ResultsWriter
     trajectories: dict[str, Trajectory]  # by method, the answer first
     pictures: dict[str, bytes]  # JPEG by frame name
-    unbounded: bool  # whether the region of an image that shows a known place is unbounded in some target
     stopped: str  # why the stream ended early, if it did
     whole: bool  # whether each frame of the part was answered, as in calibration: the guarantee holds for these only
     seconds: float
@@ -104,7 +103,7 @@ def answer_stream(
     model: PoseModel,
     stream: FrameStream,
     out: Path,
-    report: StageReport,
+    report: StageProgress,
     *,
     part: Part = Part.ALL,
     pace: Pace = Pace.FAST,
@@ -119,7 +118,7 @@ def answer_stream(
     sequence = stream.sequence if isinstance(stream, RecordingStream) else None
     truth, posed = (None, None) if sequence is None else (sequence.poses, sequence.posed)
     odometry, pictures = odometry_of(model), Thumbnails()
-    started, number, unbounded, stopped = time.perf_counter(), 0, False, ""
+    started, number, stopped = time.perf_counter(), 0, ""
     with ResultsWriter(out, answer=odometry.answer) as writer:
         with StreamRunner(odometry, writer, truth=truth, posed=posed) as runner:
             try:
@@ -129,11 +128,9 @@ def answer_stream(
                         if estimate is not None:
                             for sink in sinks:
                                 sink.log(frame, estimate, runner.true_pose(frame))
-                            report("frames", number, stream.n_frames or 0, _state(estimate))
+                            report("frames", number, stream.n_frames or 0)
                         if estimate is not None and estimate.region is not None and frame.image is not None:
                             pictures.add(frame.name, frame.image)
-                            recognised = estimate.evidence is not EvidenceType.UNKNOWN
-                            unbounded |= recognised and bool(estimate.region.unbounded.any())
                         if signals or number == limit:
                             break
             except SourceError as exc:
@@ -147,17 +144,18 @@ def answer_stream(
             writer.truth(runner.truth)
     whole = not (stopped or number == limit or stream.live or pace is Pace.CAMERA or runner.windowed)
     seconds, paths = round(time.perf_counter() - started, 2), dict(runner.trajectories)
-    return Answers(model, stream.name, part, runner, writer, paths, pictures.jpegs, unbounded, stopped, whole, seconds)
+    return Answers(model, part, runner, writer, paths, pictures.jpegs, stopped, whole, seconds)
 
 
 def metrics_of(answers: Answers) -> dict[str, Any]:
     """The content of ``metrics.json``."""
     model, runner, part = answers.model, answers.runner, answers.part
-    n_part = runner.n_answered if part is Part.ALL else len(model.split.part(str(part)))
-    some = "" if runner.n_answered == n_part else f"{runner.n_answered} of {counted(n_part, 'frame')} of "
-    note = f"{some}the {part} part of split {model.split.kind}, seed {model.split.seed}."
-    if part is Part.ALL:
-        note = "all frames of the source (training frames among them, if the source is the training data)."
+    n_part = runner.n_answered
+    note = "all frames of the source (training frames among them, if the source is the training data)."
+    if part is not Part.ALL:
+        n_part = len(model.split.part(str(part)))
+        some = "" if runner.n_answered == n_part else f"{runner.n_answered} of {counted(n_part, 'frame')} of "
+        note = f"{some}the {part} part of split {model.split.kind}, seed {model.split.seed}."
     metrics: dict[str, Any] = {
         "command": "run",
         "provenance": provenance(),
@@ -171,31 +169,30 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
         "n_unreliable": runner.n_unreliable,
         "n_localized": runner.n_localized,
         "n_unknown": runner.n_unknown,
+        "n_unbounded": sum(not record_bounded(one) for one in answers.writer.records) - runner.n_unknown,
         "n_without_image": runner.n_problems,
         "problems": runner.problems,
         "motion": dict(sorted(runner.motion.items())),
         "stopped": answers.stopped,
         "seconds": answers.seconds,
     }
-    truth, paths, rows = runner.truth, answers.trajectories, None
-    if truth is not None:
-        rows = np.array(runner.known)
+    truth, paths, whole = runner.truth, answers.trajectories, answers.whole
+    rows = None if truth is None else np.array(runner.known)
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it tells nothing
-    radius = model.radius if answers.whole and part is Part.ALL else None
+    radius = model.radius if whole and part is Part.ALL else None
     metrics["radius"] = radius_table(radius, paths, truth, rows)
     if truth is not None and rows is not None:
-        metrics["n_with_truth"] = len(truth)
         paths = {name: path[rows] for name, path in paths.items()}
-        metrics["errors"] = error_table(paths, truth)
         recognised = runner.statistics.kinds != EvidenceType.UNKNOWN
+        metrics |= {"n_with_truth": len(truth), "errors": error_table(paths, truth)}
         if recognised.any() and not recognised.all():
             subset = {name: path[recognised] for name, path in paths.items()}
             metrics["errors_known_places"] = error_table(subset, truth[recognised])
-        whole = answers.whole and part is not Part.ALL and runner.n_answered == n_part
+        exchangeable = whole and part is not Part.ALL and runner.n_answered == n_part
         metrics["coverage"] = coverage_table(
             runner.statistics,
             model,
-            exchangeable=whole and is_exchangeable(model, str(part)),
+            exchangeable=exchangeable and is_exchangeable(model, str(part)),
             seen=part in (Part.TRAIN, Part.CALIBRATION),
         )
         metrics["path_coverage"] = runner.path_coverage
@@ -218,15 +215,3 @@ def write_answers(
     level = answers.model.rules.level
     viewer = make_viewer(records, answers.trajectories, runner.truth, answers.pictures, level, walls)
     write_page(folder / PAGE, ReportContent(title, summary, metrics, list(figures), viewer))
-
-
-def _state(estimate: Estimate) -> str:
-    """The outcome of a frame, in a few words."""
-    if estimate.region is None:
-        return f"no answer: {estimate.problem}"
-    if estimate.evidence is EvidenceType.UNKNOWN:
-        motion = estimate.relative_motion
-        lost = "" if motion is None or motion.reliable else f", {motion.status}"
-        return f"unknown place (p = {estimate.known_p:.2g}){lost}"
-    places = counted(int((estimate.path_region or estimate.region).n_places[0]), "place")
-    return f"{'reliable' if estimate.reliable else estimate.problem}, {places}"

@@ -9,11 +9,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any, Protocol
+from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.text import Text
+
+from conformodal.core.progress import StageProgress
 
 LOG = "progress.log"
 _LOG_EVERY_S = 10.0
@@ -81,28 +91,17 @@ def warning_lines(category: type[Warning], report: Callable[[str], None] = repor
                 warnings.showwarning(warning.message, warning.category, warning.filename, warning.lineno)
 
 
-class StageReport(Protocol):
-    """Shows the progress of a stage: steps done, steps in all (0 where nobody knows), and a note on the newest."""
-
-    def __call__(self, stage: str, done: int, total: int, note: str = "") -> None:
-        """See the class."""
-        ...
-
-
 @contextmanager
-def progress_bars(folder: Path | None = None) -> Iterator[StageReport]:
+def progress_bars(folder: Path | None = None) -> Iterator[StageProgress]:
     """One bar per stage; every ten seconds, a line with the stages under way in ``progress.log`` of the folder."""
     columns = (TextColumn("{task.description:>12}", markup=False), BarColumn(), MofNCompleteColumn())
-    note_column = TextColumn("{task.fields[note]}", markup=False)
-    with Progress(
-        *columns, TimeElapsedColumn(), TimeRemainingColumn(), note_column, console=errors_console
-    ) as progress:
-        tasks: dict[str, Any] = {}
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=errors_console) as progress:
+        tasks: dict[str, TaskID] = {}
 
-        def report(stage: str, done: int, total: int, note: str = "") -> None:
+        def report(stage: str, done: int, total: int) -> None:
             if stage not in tasks:
-                tasks[stage] = progress.add_task(stage, note="")
-            progress.update(tasks[stage], completed=done, total=total or None, note=plain(note))
+                tasks[stage] = progress.add_task(stage)
+            progress.update(tasks[stage], completed=done, total=total or None)
 
         ended = Event()
         if folder is not None:

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.table import Table
 
 from conformodal.core.files import default_cache_dir
 from conformodal.core.words import counted
@@ -30,10 +29,10 @@ from conformodal.pipeline.depths import measure_depths
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import lock_output, write_metrics
 from conformodal.pipeline.store import load_model, model_digest
-from conformodal.quality.advice import advice, numbers, quality_record, verdict
-from conformodal.quality.examining import RecordingQuality, examine
+from conformodal.quality.advice import quality_record
+from conformodal.quality.examining import examine
 
-from .console import console, print_where, progress_bars, report_line, report_strongly
+from .console import print_where, progress_bars, report_line, report_strongly
 from .failures import OptionError, report_errors
 from .sources import (
     AllData,
@@ -47,6 +46,7 @@ from .sources import (
     open_sequence,
     open_source,
     read_poses,
+    report_notes,
 )
 
 app = typer.Typer(help="Check or convert a data set.", no_args_is_help=True)
@@ -89,19 +89,25 @@ def check(
             quality = examine(sequence, trained, cache=features, progress=report)
         findings = _report_check(checked)
         overlaps = _report_overlaps(parts)
+        record: dict[str, Any] = {
+            "command": "data check",
+            "provenance": provenance(),
+            "configuration": {"data": " + ".join(path.name for path in folders), "format": str(layout)},
+            "check": asdict(checked),
+        }
+        if model is not None:
+            record["configuration"]["model"] = model_digest(model)
+        if overlaps:
+            record["overlaps"] = [asdict(overlap) for overlap in overlaps]
         useful = trained is not None or quality.poses is not None
         if useful:
-            _report_quality(quality)
+            record["quality"] = quality_record(quality)
+            for line in record["quality"]["summary"]:
+                report_line(line)
+            report_strongly(record["quality"]["verdict"])
+            for number, line in enumerate(record["quality"]["advice"], start=1):
+                report_line(f"  {number}. {line}")
         if out is not None:
-            configuration: dict[str, str | None] = {
-                "data": " + ".join(path.name for path in folders),
-                "format": str(layout),
-            }
-            configuration |= {} if model is None else {"model": model_digest(model)}
-            record: dict[str, Any] = {"command": "data check", "provenance": provenance()}
-            record |= {"configuration": configuration, "check": asdict(checked)}
-            record |= {"overlaps": [asdict(overlap) for overlap in overlaps]} if overlaps else {}
-            record |= {"quality": quality_record(quality)} if useful else {}
             write_metrics(out, record)
             write_quality_page(out, quality if useful else None, record, findings)
             print_where(out)
@@ -156,28 +162,24 @@ def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
     first = next((frame.image for frame in stream if frame.image is not None), None)
     if first is None:
         raise DatasetError(f"{stream.name}: no image can be read, so the size of the images is not known")
-    height, width, _ = first.shape
     notes: list[Note] = []
-    camera = camera_beside(folder, (width, height), None, notes)
+    camera = camera_beside(folder, (first.shape[1], first.shape[0]), None, notes)
     if camera is None:
         raise DatasetError(f"{folder}: holds no camera-intrinsics.txt; write the 3x3 matrix of the camera into it")
-    for what, where in notes:
-        report_line(f"{what}: {where}")
+    report_notes(notes)
     return camera
 
 
 def _report_check(checked: DatasetCheck) -> list[str]:
     """Print what the data hold and what is wrong with them; returns the latter, one line each."""
-    table = Table(show_header=False)
     recordings = f" in {checked.n_recordings} recordings" if checked.n_recordings > 1 else ""
-    table.add_row("frames", f"{checked.n_frames}{recordings}, {checked.width}x{checked.height}")
-    table.add_row("time", f"{checked.duration_s:.2f} s, usually {checked.rate_hz:.2f} frames per second")
     poses = f"{checked.n_poses} of {counted(checked.n_frames, 'frame')}"
     if checked.extent_m is not None:
         sides = " x ".join(f"{side:.2f}" for side in checked.extent_m)
-        poses = f"{checked.n_poses}, all rigid motions; within {sides} m, path {checked.path_m:.2f} m"
-    table.add_row("poses", poses)
-    console.print(table)
+        poses += f", all rigid motions; within {sides} m, path {checked.path_m:.2f} m"
+    report_line(f"frames: {checked.n_frames}{recordings}, {checked.width}x{checked.height}")
+    report_line(f"time: {checked.duration_s:.2f} s, usually {checked.rate_hz:.2f} frames per second")
+    report_line(f"poses: {poses}")
     lines = [
         f"{'' if one.wrong else 'note: '}{one.count} x {one.what}: {'first ' if one.count > 1 else ''}{one.first}"
         for one in checked.findings
@@ -202,12 +204,3 @@ def _report_overlaps(parts: list[Recording]) -> list[Overlap]:
         report = report_strongly if overlaps[-1].frames_differ else report_line
         report(overlaps[-1].describe(first.name, part.name))
     return overlaps
-
-
-def _report_quality(quality: RecordingQuality) -> None:
-    """The numbers, the verdict, and what to record or train on next."""
-    for line in numbers(quality):
-        report_line(line)
-    report_strongly(verdict(quality))
-    for number, line in enumerate(advice(quality), start=1):
-        report_line(f"  {number}. {line}")

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted, noun_for
 from conformodal.geometry import Alignment, Trajectory, align, associate, poses_at, recall, relative_errors
 from conformodal.geometry.alignment import straightness
@@ -28,7 +29,7 @@ from conformodal.pipeline.results import (
     write_metrics,
 )
 
-from .console import console, print_where, report_line, report_strongly
+from .console import print_where, report_line, report_strongly
 from .failures import report_errors
 from .outcome import describe_coverage, print_errors
 from .sources import FollowOutside, MaxGap, TimeOffset, open_sequence, read_poses
@@ -50,13 +51,14 @@ def evaluate(
     with writing_in(out), lock_output(out / "evaluation", "evaluate"):
         result = read_run(out)
         true_poses = _read_truth(truth, layout, time_offset, follow_outside=follow_outside)
-        rows, gaps = poses_at(true_poses, result.answer.timestamps_s, max_gap)
+        times = result.answer.timestamps_s
+        rows, gaps = poses_at(true_poses, times, max_gap)
         posed = np.flatnonzero(np.isfinite(rows).all(axis=1))
         if not posed.size:
             associate(result.answer, true_poses, max_gap)  # says why
             raise OdometryError(f"{truth}: no pose of the results lies between true ones within {max_gap:g} s")
-        matched = Trajectory(result.answer.timestamps_s[posed], rows[posed, :3], rows[posed, 3:])
-        aligned = {name: align(t[posed], matched, alignment) for name, t in result.trajectories.items()}
+        matched = Trajectory(times[posed], rows[posed, :3], rows[posed, 3:])
+        aligned = {name: align(path[posed], matched, alignment) for name, path in result.trajectories.items()}
         errors = {
             name: row | _motion_errors(aligned[name], matched) for name, row in error_table(aligned, matched).items()
         }
@@ -65,10 +67,8 @@ def evaluate(
             doubt = straightness(matched, next(iter(errors.values()))["rmse_m"])
         # regions lie in the world of the answer: there the truth is brought by what brings it nearest to the answer
         here = matched if alignment is Alignment.NONE else align(matched, result.answer[posed], alignment)
-        records, sign = [result.records[i] for i in posed], result.sign_reference
-        inside, held = intervals_hold(records, here, sign), records_hold(records, here, sign)
-        bounded = np.array([record_bounded(record) for record in records], dtype=np.bool_)
-        evaluation: dict[str, Any] = {
+        coverage = _coverage([result.records[i] for i in posed], here, result.sign_reference)
+        evaluation = {
             "command": "evaluate",
             "results": result.metrics.get("results"),
             "provenance": provenance(),
@@ -77,34 +77,42 @@ def evaluate(
             "n_matched": len(posed),
             "largest_gap_s": float(gaps[posed].max()),
             "alignment_doubt": doubt or None,
-            "n_answered": len(result.answer),
+            "n_answered": len(times),
             "errors": errors,
-            "coverage": {
-                "targets": dict(zip(TARGET_NAMES, inside.mean(axis=0).tolist(), strict=True)),
-                "joint_coverage": float(held.mean()),
-                "n_evaluated": len(posed),
-                "abstained": float((~bounded).mean()),
-                **bounded_coverage(held, bounded),
-                "path_coverage": float(records_hold(records, here, sign, "path_places").mean())
-                if all(record["path_places"] is not None for record in records)
-                else None,
-                "note": "share of true poses in the stored intervals; whether alpha guarantees it depends on how these "
-                "frames relate to the calibration frames",
-            },
+            "coverage": coverage,
         }
         write_metrics(out / "evaluation", evaluation)
-    have = noun_for(len(posed), "has", "have")
-    answers, gap = counted(len(result.answer), "pose"), gaps[posed].max()
-    hint = (
-        clock_hint(result.answer.timestamps_s, true_poses.timestamps_s) if 2 * len(posed) < len(result.answer) else ""
+    hint = clock_hint(times, true_poses.timestamps_s) if 2 * len(posed) < len(times) else ""
+    report_line(
+        f"{len(posed)} of {counted(len(times), 'pose')} {noun_for(len(posed), 'has', 'have')} a true one; the largest "
+        f"gap bridged is {gaps[posed].max():.3g} s{hint}"
     )
-    console.print(f"{len(posed)} of {answers} {have} a true one; the largest gap bridged is {gap:.3g} s{hint}")
     if doubt:
         report_strongly(doubt)
     aligned_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
     print_errors(errors, f"against {truth.name}{aligned_by}")
-    report_line(describe_coverage(evaluation["coverage"]))
+    report_line(describe_coverage(coverage))
     print_where(out / "evaluation")
+
+
+def _coverage(records: list[dict[str, Any]], truth: Trajectory, sign_reference: FloatArray) -> dict[str, Any]:
+    """The share of true poses in the stored regions."""
+    held = records_hold(records, truth, sign_reference)
+    bounded = np.array([record_bounded(record) for record in records], dtype=np.bool_)
+    path_coverage = None
+    if all(record["path_places"] is not None for record in records):
+        path_coverage = float(records_hold(records, truth, sign_reference, "path_places").mean())
+    inside = intervals_hold(records, truth, sign_reference).mean(axis=0).tolist()
+    return {
+        "targets": dict(zip(TARGET_NAMES, inside, strict=True)),
+        "joint_coverage": float(held.mean()),
+        "n_evaluated": len(records),
+        "abstained": float((~bounded).mean()),
+        **bounded_coverage(held, bounded),
+        "path_coverage": path_coverage,
+        "note": "share of true poses in the stored intervals; whether alpha guarantees it depends on how these "
+        "frames relate to the calibration frames",
+    }
 
 
 def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:

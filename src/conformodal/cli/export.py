@@ -9,7 +9,6 @@ from typing import Annotated
 
 import typer
 
-from conformodal.core.words import counted, noun_for
 from conformodal.features.backbone import OnnxBackbone
 from conformodal.features.extract import FeatureCache
 from conformodal.io import Layout, Recording
@@ -23,7 +22,7 @@ from conformodal.pipeline.store import load_model, save_model
 from .console import print_where, progress_bars
 from .failures import OptionError, report_errors
 from .sources import Cache, DataLayout, FollowOutside, SavedModel, cache_folder, open_sequence
-from .train import train_on
+from .training import train_on
 
 
 class Quantise(StrEnum):
@@ -78,12 +77,7 @@ def _in_onnx(model: PoseModel, features: FeatureCache) -> PoseModel:
 
 def _check_same_data(model: PoseModel, sequence: Recording, folder: Path) -> None:
     """Refuse other data than the model was trained on."""
-    known, here = model.known_frames, identify(sequence)
-    n = min(len(known), len(here))
-    same_file = (known.files[:n] == here.files[:n]).all(axis=1)
-    same = int((same_file & same_poses(known.poses[:n], here.poses[:n])).sum())
-    if same < len(known) or len(here) != len(known):
-        raise OdometryError(
-            f"{sequence.name}: is not the data set that {folder} was trained on: {same} of its "
-            f"{counted(len(known), 'frame')} {noun_for(same, 'is', 'are')} here in their places, among {len(here)}"
-        )
+    trained, here = model.known_frames, identify(sequence)
+    whole = len(here) == len(trained) and bool((trained.files == here.files).all())
+    if not (whole and same_poses(trained.poses, here.poses).all()):
+        raise OdometryError(f"{sequence.name}: is not the data set that {folder} was trained on; give that one")

@@ -7,10 +7,8 @@ import os
 import signal
 import sys
 import threading
-import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import FrameType
 
 import typer
@@ -63,10 +61,7 @@ def explained(error: Exception) -> tuple[str, int]:
         return f"the system refused: {file}{error.strerror or text or name}", REFUSED
     if isinstance(error, MemoryError) or any(words in text.lower() for words in _NO_MEMORY):
         return f"the system refused: there is not enough memory: {text or name}", REFUSED
-    root = Path(__file__).resolve().parents[1]
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).is_relative_to(root)]
-    place = f"{Path(frames[-1].filename).relative_to(root)}:{frames[-1].lineno}" if frames else "outside of it"
-    return f"{name}: {text} (a fault of this program, {place}; {SHOW_ALL}=1 shows all of it)", OWN_FAULT
+    return f"{name}: {text} (a fault of this program; {SHOW_ALL}=1 shows all of it)", OWN_FAULT
 
 
 @contextmanager

@@ -67,15 +67,14 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
 
 def describe_facts(facts: dict[str, Any]) -> list[str]:
     """The facts as lines."""
-    parts = ", ".join(f"{n} for {part}" for part, n in facts["frames"].items())
+    camera, parts = facts["camera"], ", ".join(f"{n} for {part}" for part, n in facts["frames"].items())
     what = "the whole pose" if facts["joint"] != "none" else "each target by itself"
     units = "frames" if facts["calibrated_on"] == "frames" else "frames, in whole stretches or recordings,"
     unbounded = [kind for kind, bounded in facts["bounded_regions"].items() if not bounded and kind != "unknown"]
     radius = f"{facts['radius_m']:.3f} m" if facts["radius_m"] is not None else "none (conformodal calibrate gives one)"
     return [
         f"trained on {facts['data']}: frames {parts} (split {facts['split']}, seed {facts['seed']})",
-        f"camera: {facts['camera']['width']}x{facts['camera']['height']}, fx {facts['camera']['fx']:.1f}, "
-        f"fy {facts['camera']['fy']:.1f}",
+        f"camera: {camera['width']}x{camera['height']}, fx {camera['fx']:.1f}, fy {camera['fy']:.1f}",
         f"method {facts['method']}; sources: {', '.join(facts['sources'])}",
         f"guarantee: regions hold {what} with probability at least {1 - facts['alpha']:g}, for frames exchangeable "
         f"with the {facts['n_calibration']} {units} that calibrated them",
@@ -83,8 +82,8 @@ def describe_facts(facts: dict[str, Any]) -> list[str]:
         f"images whose p-value of showing a known place is at most {facts['novelty_level']:g} "
         f"({facts['recognised_level']:g} where a place is recognised) get an unbounded region",
         f"radius around the chosen pose: {radius}",
-        f"size: {sum(facts['bytes'].values()) / 1e6:.1f} MB",
-        f"network {facts['network']} in {facts['runtime']}: {facts['network_ms']:.1f} ms per image here",
+        f"size: {sum(facts['bytes'].values()) / 1e6:.1f} MB; network {facts['network']} in {facts['runtime']}: "
+        f"{facts['network_ms']:.1f} ms per image here",
     ]
 
 

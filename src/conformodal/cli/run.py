@@ -112,7 +112,7 @@ def run(
             )
             metrics = {**metrics_of(answers), "model": model_digest(model)}
             write_answers(answers, metrics, f"conformodal: {stream.name}", describe_outcome(stream.name, metrics))
-    report_outcome(stream.name, metrics, unbounded=answers.unbounded)
+    report_outcome(stream.name, metrics)
     print_where(out)
     if answers.stopped:
         raise typer.Exit(stop_code(signals) if answers.stopped == INTERRUPTED else BROKE_OFF)
@@ -135,15 +135,16 @@ def _as_trained(model: PoseModel, stream: FrameStream, *, convert: bool) -> Fram
         return stream
     try:
         model.check_camera(stream.camera)
-        return stream
     except OdometryError as exc:
         if not convert:
             raise
         change = describe_change(stream.camera, model.camera)
         report_line(f"{exc}: its images are brought to the model's camera, those of {change}")
-    if isinstance(stream, RecordingStream):
-        return replace(stream, sequence=as_camera(stream.sequence, model.camera))
-    return replace(stream, camera=model.camera) if isinstance(stream, BagStream) else stream
+        if isinstance(stream, RecordingStream):
+            return replace(stream, sequence=as_camera(stream.sequence, model.camera))
+        if isinstance(stream, BagStream):
+            return replace(stream, camera=model.camera)
+    return stream
 
 
 @contextmanager

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
-from collections.abc import Sequence as Several
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from conformodal.core.files import default_cache_dir
 from conformodal.core.words import counted
-from conformodal.geometry import PinholeCamera, Trajectory
+from conformodal.geometry import Trajectory
 from conformodal.geometry.metrics import MAX_GAP_S
 from conformodal.io import DatasetError, DatasetWarning, Layout, Recording, read_recording, recognise
 from conformodal.io.folders import check_writable
@@ -72,7 +70,7 @@ def was_given(context: typer.Context, name: str) -> bool:
     return source is not None and not source.name.startswith("DEFAULT")
 
 
-def _report_notes(notes: Iterable[Note]) -> None:
+def report_notes(notes: Iterable[Note]) -> None:
     """Name what the reader left out, or finds unlikely."""
     for what, places in by_what(notes).items():
         for where in places[:_MOST_NOTES]:
@@ -81,44 +79,28 @@ def _report_notes(notes: Iterable[Note]) -> None:
             report_line(f"{what}: {len(places) - _MOST_NOTES} more")
 
 
-def open_sequence(
-    path: Path,
-    layout: Layout,
-    *,
-    require_poses: bool,
-    follow_outside: bool = False,
-    focal: str | None = None,
-    notes: bool = True,
-) -> Recording:
-    """Read a data set in a layout; says what was recognised, and the reader's notes."""
+def open_sequence(path: Path, layout: Layout, *, notes: bool = True, **options: Any) -> Recording:
+    """Read a data set in a layout; says what was recognised, and the reader's notes.
+
+    Options are those of :func:`~conformodal.read_recording`.
+    """
     name = recognise(path) if layout is Layout.AUTO else str(layout)
     if layout is Layout.AUTO:
         report_line(f"{path}: {name} layout")
     with warnings.catch_warnings():  # they are printed here
         warnings.simplefilter("ignore", DatasetWarning)
-        sequence = read_recording(path, name, require_poses=require_poses, follow_outside=follow_outside, focal=focal)
+        sequence = read_recording(path, name, **options)
     if notes:
-        _report_notes(sequence.notes)
+        report_notes(sequence.notes)
     return sequence
 
 
-def open_sequences(
-    paths: Several[Path],
-    layout: Layout,
-    *,
-    require_poses: bool,
-    follow_outside: bool = False,
-    focal: str | None = None,
-    test: Path | None = None,
-) -> Recording:
+def open_sequences(paths: Sequence[Path], layout: Layout, *, test: Path | None = None, **options: Any) -> Recording:
     """Read data sets as one, see :func:`~conformodal.io.joining.join_recordings`; `test` is one that tests."""
     every = [*paths, *([] if test is None else [test])]
-    open_one = partial(
-        open_sequence, layout=layout, require_poses=require_poses, follow_outside=follow_outside, focal=focal
-    )
-    read = [open_one(path) for path in every]
-    whole = join_recordings(read, None if test is None else [path is test for path in every])
-    _report_notes(whole.notes[sum(len(part.notes) for part in read) :])
+    parts = [open_sequence(path, layout, require_poses=True, **options) for path in every]
+    whole = join_recordings(parts, None if test is None else [path is test for path in every])
+    report_notes(whole.notes[sum(len(part.notes) for part in parts) :])
     return whole
 
 
@@ -126,27 +108,20 @@ def read_poses(
     source: Path | str, offset_s: float = 0.0, stream: FrameStream | None = None, max_gap_s: float = MAX_GAP_S
 ) -> Trajectory:
     """The poses of a TUM file, or of a ROS recording's topic, moved in time; says what is wrong with some."""
-    path = Path(source)
-    if isinstance(stream, BagStream) and not path.exists():
+    if isinstance(stream, BagStream) and not Path(source).exists():
         from conformodal.io.streams.bag_poses import read_bag_poses  # noqa: PLC0415 - of ROS recordings alone
 
         notes = list[Note]()
         poses = read_bag_poses(stream, str(source), notes, max_gap_s)
-        _report_notes(notes)
+        report_notes(notes)
     else:
         with warning_lines(Warning):
-            poses = read_tum(path)
+            poses = read_tum(Path(source))
     return replace(poses, timestamps_s=poses.timestamps_s + offset_s)
 
 
 def open_source(
-    source: str,
-    layout: Layout,
-    *,
-    camera: PinholeCamera | None = None,
-    topic: str | None = None,
-    as_trained: bool = False,
-    follow_outside: bool = False,
+    source: str, layout: Layout, *, topic: str | None = None, as_trained: bool = False, **options: Any
 ) -> FrameStream:
     """Open anything that gives frames, see :func:`~conformodal.io.streams.opening.open_stream`; says what it is.
 
@@ -154,21 +129,19 @@ def open_source(
     """
     with warnings.catch_warnings():  # they are printed here
         warnings.simplefilter("ignore", DatasetWarning)
-        stream = open_stream(source, layout, camera=camera, topic=topic, follow_outside=follow_outside)
+        stream = open_stream(source, layout, topic=topic, **options)
         if as_trained and isinstance(stream, RecordingStream) and stream.sequence.truth is None:
+            follow_outside = options.get("follow_outside", False)
             with suppress(DatasetError):  # no frame has a pose
                 again = read_recording(Path(source), layout, require_poses=True, follow_outside=follow_outside)
                 stream = RecordingStream(again)
     if topic is not None and not isinstance(stream, BagStream):
         raise OptionError(f"--topic is for ROS recordings, and {source} is not one, got {topic!r}")
+    kind = type(stream).__name__.removesuffix("Stream").lower()
     if isinstance(stream, RecordingStream):
-        kind = recognise(Path(source)) if layout is Layout.AUTO else str(layout)
-        poses = "without poses, or not for every frame" if stream.sequence.truth is None else "with poses"
-        report_line(f"{source}: {kind} layout, {counted(len(stream.sequence), 'frame')} {poses}")
-        _report_notes(stream.sequence.notes)
-    else:
-        count = "" if stream.n_frames is None else f", {counted(stream.n_frames, 'frame')}"
-        kind_of_stream = type(stream).__name__.removesuffix("Stream").lower()
-        report_line(f"{stream.name}: {kind_of_stream}{count}")
-        _report_notes(stream.notes)
+        kind = f"{recognise(Path(source)) if layout is Layout.AUTO else layout} layout"
+        kind += ", without poses, or not for every frame" if stream.sequence.truth is None else ", with poses"
+    count = "" if stream.n_frames is None else f", {counted(stream.n_frames, 'frame')}"
+    report_line(f"{source}: {kind}{count}")
+    report_notes(stream.notes)
     return stream

@@ -15,7 +15,6 @@ from conformodal.conformal import ConformalRegressor, Diagnosis, PredictiveDensi
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.saving import check_replaceable
 from conformodal.core.extras import require_extra
-from conformodal.core.files import replacing
 from conformodal.core.words import counted, listed
 
 from .console import report_line, warning_lines
@@ -61,29 +60,28 @@ def table(
     """Learn columns of a CSV file from the others; print regions of unseen rows and their coverage."""
     as_alpha(alpha)
     _check_outputs(plot, model)
-    written = CsvFormat("\t" if sep == r"\t" else sep, decimal, thousands, na_values or ())
-    frame, notes = read_table(file, written)
     if len(group or []) > 1:
         raise TableError(f"--group names one column, got {listed(group or [])}; ConditionalConformal takes several")
     by = group[0] if group else None
+    frame, notes = read_table(file, CsvFormat("\t" if sep == r"\t" else sep, decimal, thousands, na_values or ()))
     X, y, more = choose_columns(frame, target, by, str(file), exclude or [])
     for note in (*notes, *more):
         report_line(note)
     test, train = np.split(np.random.default_rng(seed).permutation(len(X)), [len(X) // 5])
     joint: Any = "max" if len(target) > 1 else "none"
     reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed)
-    groups = {part: X[by].iloc[rows] if by else None for part, rows in (("train", train), ("test", test))}
+    train_groups, test_groups = (X[by].iloc[rows] if by else None for rows in (train, test))
     with warning_lines(UserWarning, lambda text: report_line(f"note: {text}")):
-        reg.fit(X.iloc[train], y.iloc[train], groups=groups["train"])
-    regions = reg.predict_region(X.iloc[test], groups=groups["test"])
-    for row in sorted({*range(_SHOWN), int((regions.n_intervals > 1).any(axis=1).argmax())}):
+        reg.fit(X.iloc[train], y.iloc[train], groups=train_groups)
+    regions = reg.predict_region(X.iloc[test], groups=test_groups)
+    several = (regions.n_intervals > 1).any(axis=1)
+    for row in sorted({*range(_SHOWN), int(several.argmax())}):
         for name, parts in zip(target, regions.intervals(row), strict=True):
             ranges = " or ".join(f"{low:.4g} to {high:.4g}" for low, high in parts) or "no value"
             true = y[name].iloc[test[row]]
             report_line(f"row {X.index[test[row]] + 1}, {name}: {ranges} (true: {true:.4g})")
-    several = (regions.n_intervals > 1).any(axis=1).mean()
-    report_line(f"rows with several intervals: {several:.0%}")
-    diagnosis = reg.diagnose(X.iloc[test], y.iloc[test], groups["test"])
+    report_line(f"rows with several intervals: {several.mean():.0%}")
+    diagnosis = reg.diagnose(X.iloc[test], y.iloc[test], test_groups)
     for line in str(diagnosis).splitlines():
         report_line(line)
     if model is not None:
@@ -101,20 +99,18 @@ def _check_outputs(plot: Path | None, model: Path | None) -> None:
         raise TableError(f"{plot}: exists and is not a picture of this command, not replaced; name another file")
     if model is not None:
         check_replaceable(model)
-    for option, value, extra, package in (
-        ("--plot", plot, "figures", "matplotlib"),
-        ("--model", model, "save", "skops"),
-    ):
-        if value is not None:
-            with require_extra(extra, option):
-                import_module(package)
+        with require_extra("save", "--model"):
+            import_module("skops")
+    if plot is not None:
+        with require_extra("figures", "--plot"):
+            import_module("matplotlib")
 
 
 def _draw(density: PredictiveDensity, regions: Regions, y: pd.DataFrame, diagnosis: Diagnosis, plot: Path) -> None:
     """Draw sets and density of every target over the rows, from the smallest predicted mean on, beside the coverage."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
 
-    from conformodal.report.tables import draw_coverage, draw_regions  # noqa: PLC0415
+    from conformodal.report.tables import draw_coverage, draw_regions, save_picture  # noqa: PLC0415
 
     n_targets = y.shape[1]
     figure = Figure(figsize=(12, 4 * n_targets), layout="constrained")
@@ -126,21 +122,54 @@ def _draw(density: PredictiveDensity, regions: Regions, y: pd.DataFrame, diagnos
             draw_coverage(diagnosis, j, right)
         else:
             right.set_axis_off()
-    with replacing(plot) as part:
-        figure.savefig(part, format=plot.suffix[1:], metadata={"Creator": "conformodal"})
+    save_picture(figure, plot)
     report_line(f"picture: {plot.resolve()}")
 
 
+def choose_columns(
+    frame: pd.DataFrame, targets: list[str], group: str | None, file: str, excluded: Sequence[str] = ()
+) -> tuple[pd.DataFrame, pd.DataFrame, list[str]]:
+    """Inputs and targets of the rows that have all targets, and what is used and left out, as lines."""
+    needed = [*targets, *([] if group is None else [group])]
+    _check_columns(frame, targets, needed, file, excluded)
+    whole = frame[needed].notna().all(axis=1)
+    gaps, used, left_out, rows = np.flatnonzero(~whole), dict[str, str](), [], frame[whole]
+    if len(rows) < _FEWEST_ROWS:
+        raise TableError(f"{file}: {counted(len(rows), 'row')} with all targets, at least {_FEWEST_ROWS} are needed")
+    for name in frame.columns.difference(targets, sort=False):
+        why = "excluded" if name in excluded else "" if name == group else _useless(frame[name])
+        if why:
+            left_out.append(f"{name} ({why})")
+        else:
+            used[name] = _describe_column(rows[name])
+    if not used:
+        raise TableError(f"{file}: no column is left to learn from; {'; '.join(left_out) or 'all are targets'}")
+    more = f" and {len(used) - _NAMED} more" if len(used) > _NAMED else ""
+    lines = [
+        f"target: {listed(targets)}" + (f"; groups: {group}" if group else ""),
+        f"used: {', '.join(list(used.values())[:_NAMED])}{more}",
+    ]
+    if left_out:
+        lines.append(f"left out: {', '.join(left_out)}")
+    if gaps.size:
+        first = ", ".join(map(str, (gaps[:5] + 1).tolist())) + (", ..." if gaps.size > 5 else "")
+        lines.append(f"left out: {counted(gaps.size, 'row')} without a target or group (rows {first})")
+    inputs = rows[list(used)]
+    if group is not None and inputs[group].dtype.kind == "f" and (inputs[group] % 1 == 0).all():
+        inputs = inputs.astype({group: int})  # group 2, not 2.0
+    return inputs, rows[targets], lines
+
+
 def _check_columns(
-    frame: pd.DataFrame, targets: list[str], group: str | None, file: str, excluded: Sequence[str]
+    frame: pd.DataFrame, targets: list[str], needed: list[str], file: str, excluded: Sequence[str]
 ) -> None:
-    for name in (*targets, *([] if group is None else [group]), *excluded):
+    """Refuse columns that are not there, are asked for twice, or hold no numbers where these are needed."""
+    for name in (*needed, *excluded):
         if name not in frame:
             raise TableError(f"{file}: has no column {name!r}; its columns are {', '.join(map(repr, frame.columns))}")
-    parts = [*targets, *([] if group is None else [group]), *set(excluded)]
-    if len(set(parts)) < len(parts):
-        left = f", left out {listed(excluded)}" if excluded else ""
-        raise TableError(f"{file}: a column has one part, got targets {targets} and group {group!r}{left}")
+    for name in needed:
+        if needed.count(name) > 1 or name in excluded:
+            raise TableError(f"{file}: column {name!r} can only be one of target, group and excluded")
     for name in targets:
         if frame[name].dtype.kind != "f":
             values = frame[name].dropna()
@@ -148,53 +177,23 @@ def _check_columns(
             raise TableError(f"{file}: target {name!r} must hold numbers, got {shown}; see --decimal and --thousands")
 
 
-def choose_columns(
-    frame: pd.DataFrame, targets: list[str], group: str | None, file: str, excluded: Sequence[str] = ()
-) -> tuple[pd.DataFrame, pd.DataFrame, list[str]]:
-    """Inputs and targets of the rows that have all targets, and what is used and left out, as lines."""
-    _check_columns(frame, targets, group, file, excluded)
-    whole = frame[[*targets, *([] if group is None else [group])]].notna().all(axis=1)
-    gaps, notes, used, left_out = np.flatnonzero(~whole), [], [], []
-    rows = frame[whole]
-    if len(rows) < _FEWEST_ROWS:
-        raise TableError(f"{file}: {counted(len(rows), 'row')} with all targets, at least {_FEWEST_ROWS} are needed")
-    for name in frame.columns.difference(targets, sort=False):
-        why = "excluded" if name in excluded else "" if name == group else _useless(frame[name])
-        missing = rows[name].isna().mean()
-        if why:
-            left_out.append(f"{name} ({why})")
-        else:
-            used.append(name)
-            words = {"M": ["date"], "f": []}.get(rows[name].dtype.kind, [f"text, {rows[name].nunique()} labels"])
-            words += [f"{missing:.0%} missing"] if missing else []
-            notes.append(f"{name} ({', '.join(words)})" if words else name)
-    if not used:
-        raise TableError(f"{file}: no column is left to learn from; {'; '.join(left_out) or 'all are targets'}")
-    lines = [
-        f"target: {listed(targets)}" + (f"; groups: {group}" if group else ""),
-        f"used: {', '.join(notes[:_NAMED])}",
-    ]
-    lines[1] += f" and {len(notes) - _NAMED} more" if len(notes) > _NAMED else ""
-    if left_out:
-        lines.append(f"left out: {', '.join(left_out)}")
-    if gaps.size:
-        first = ", ".join(map(str, (gaps[:5] + 1).tolist())) + (", ..." if gaps.size > 5 else "")
-        lines.append(f"left out: {counted(gaps.size, 'row')} without a target or group (rows {first})")
-    inputs = rows[used]
-    if group is not None and inputs[group].dtype.kind == "f" and (inputs[group] % 1 == 0).all():
-        inputs = inputs.astype({group: int})  # group 2, not 2.0
-    return inputs, rows[targets], lines
+def _describe_column(column: pd.Series) -> str:
+    """A column that is used: its name, what it holds unless these are numbers, and how much of it is missing."""
+    words = {"M": ["date"], "f": []}.get(column.dtype.kind, [f"text, {column.nunique()} labels"])
+    if column.hasnans:
+        words.append(f"{column.isna().mean():.0%} missing")
+    return f"{column.name} ({', '.join(words)})" if words else str(column.name)
 
 
 def _useless(column: pd.Series) -> str:
     """Why a column is left out, or nothing."""
-    known, missing = column.dropna(), column.isna().mean()
+    values, missing = column.dropna(), column.isna().mean()
     if missing > _MOST_MISSING:
         return f"{missing:.0%} missing"
-    if known.nunique() < 2:
+    if values.nunique() < 2:
         return "one value only"
     if column.dtype.kind == "f":
-        return "numbers the rows" if len(known) > 2 and (known.diff().iloc[1:] == 1).all() else ""
-    if column.dtype.kind != "M" and known.nunique() > _MOST_DISTINCT * len(known):
+        return "numbers the rows" if len(values) > 2 and (values.diff().iloc[1:] == 1).all() else ""
+    if column.dtype.kind != "M" and values.nunique() > _MOST_DISTINCT * len(values):
         return "another text in nearly every row"
     return ""

@@ -1,36 +1,23 @@
-"""``conformodal train``: train, calibrate, save."""
+"""``conformodal train``: the options of training."""
 
 from __future__ import annotations
 
-import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
-from conformodal.core.progress import StageProgress
-from conformodal.core.words import counted, noun_for
 from conformodal.features.extract import FeatureCache
 from conformodal.features.networks.registry import NETWORKS, find_network
 from conformodal.features.settings import TrainingConfig
-from conformodal.io import Layout, Recording, SplitKind
-from conformodal.localizer.sources.landmarks import LandmarkSource
+from conformodal.io import Layout, SplitKind
 from conformodal.pipeline.config import Calibration, Method, ModelConfig, Runtime
-from conformodal.pipeline.model import PoseModel
-from conformodal.pipeline.provenance import provenance
-from conformodal.pipeline.results import lock_output, write_metrics
-from conformodal.pipeline.store import model_digest, save_model
-from conformodal.pipeline.train import prepare_training_data, train_model
-from conformodal.quality.advice import advice, numbers, quality_record, verdict
-from conformodal.quality.examining import examine
-from conformodal.quality.guarantee import guarantees
+from conformodal.pipeline.results import lock_output
 
-from .console import print_where, progress_bars, report_line, report_strongly
+from .console import print_where, progress_bars
 from .failures import OptionError, report_errors
-from .model_notes import describe_calibration, describe_distances, describe_landmarks, distances
 from .sources import (
     DATA_PANEL,
     AllData,
@@ -42,12 +29,11 @@ from .sources import (
     open_sequences,
     was_given,
 )
+from .training import train_on
 
 _data, _model, _calibration = (
     partial(typer.Option, rich_help_panel=panel) for panel in (DATA_PANEL, "Model", "Calibration")
 )
-# Settings whose options have other names.
-_OPTIONS = {"n_bins": "bins", "sigma_bins": "sigma", "calibrate_on": "calibration", "calibration": "calibration_share"}
 
 
 @report_errors()
@@ -74,9 +60,9 @@ def train(
             "whole, which implies --split given.",
         ),
     ] = str(ModelConfig.test),
-    calibration_share: Annotated[float, _data(help="Share of all frames (or recordings) held out to calibrate.")] = (
-        ModelConfig.calibration
-    ),
+    calibration: Annotated[
+        float, _data("--calibration-share", help="Share of all frames (or recordings) held out to calibrate.")
+    ] = ModelConfig.calibration,
     used: Annotated[float | None, _data(help="Share of all frames for training and calibration together.")] = None,
     focal: Focal = None,
     follow_outside: FollowOutside = False,
@@ -88,10 +74,10 @@ def train(
         ModelConfig.runtime
     ),
     device: Annotated[str, _model(help="Of the network: cpu, cuda, or auto.")] = ModelConfig.device,
-    bins: Annotated[int, _model(min=1, help="Bins per target (K).")] = ModelConfig.n_bins,
-    sigma: Annotated[float, _model(min=0, help="Width of the labels in bins; 0: one-hot, as in the paper.")] = (
-        ModelConfig.sigma_bins
-    ),
+    n_bins: Annotated[int, _model("--bins", min=1, help="Bins per target (K).")] = ModelConfig.n_bins,
+    sigma_bins: Annotated[
+        float, _model("--sigma", min=0, help="Width of the labels in bins; 0: one-hot, as in the paper.")
+    ] = (ModelConfig.sigma_bins),
     epochs: Annotated[int, _model(min=1, help="Passes over the training part.")] = TrainingConfig.epochs,
     dropout: Annotated[float, _model(min=0, max=0.95, help="Share of features dropped in training.")] = (
         TrainingConfig.dropout
@@ -109,12 +95,13 @@ def train(
     score: Annotated[
         str, _calibration(help="Nonconformity score: hpd, hpd_random, aps, density, lac (the paper's).")
     ] = ModelConfig.score,
-    calibration: Annotated[
+    calibrate_on: Annotated[
         Calibration,
         _calibration(
+            "--calibration",
             help="What the regions are calibrated on. frames: the calibration part. stretches: stretches (or "
             "recordings) of training and calibration part, each answered by sources that did not see it. auto: frames "
-            "for --split interleaved, else stretches."
+            "for --split interleaved, else stretches.",
         ),
     ] = ModelConfig.calibrate_on,
     novelty_level: Annotated[
@@ -138,14 +125,14 @@ def train(
         split = SplitKind.GIVEN
     settings: dict[str, Any] = {
         "split": split,
-        "n_bins": bins,
-        "sigma_bins": sigma,
+        "n_bins": n_bins,
+        "sigma_bins": sigma_bins,
         "alpha": alpha,
         "score": score,
         "joint": joint,
         "test": share,
-        "calibration": calibration_share,
-        "calibrate_on": calibration,
+        "calibration": calibration,
+        "calibrate_on": calibrate_on,
         "novelty_level": novelty_level,
         "used": used,
         "network": network,
@@ -156,77 +143,16 @@ def train(
         "training": replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
     }
     if method is Method.PAPER:  # options that were left alone are the paper's then
-        given, default = {name for name in settings if was_given(context, _OPTIONS.get(name, name))}, ModelConfig()
+        given, default = {name for name in settings if was_given(context, name)}, ModelConfig()
         given |= {name for name, value in settings.items() if value != getattr(default, name)}
-        given -= {"calibrate_on"} if calibration is Calibration.AUTO else set()
+        given -= {"calibrate_on"} if calibrate_on is Calibration.AUTO else set()
         config = ModelConfig.paper(**{name: settings[name] for name in given})
     else:
         config = ModelConfig(**settings)
     _ = find_network(network).block  # refuses a model of transformers that is not here, before images are read
     with lock_output(out, "train", apart=[*data, *([] if held_out is None else [held_out])]):
         features = FeatureCache(cache_folder(cache))
-        sequence = open_sequences(
-            data, layout, require_poses=True, follow_outside=follow_outside, focal=focal, test=held_out
-        )
+        sequence = open_sequences(data, layout, test=held_out, follow_outside=follow_outside, focal=focal)
         with progress_bars(out) as report:
             train_on(sequence, config, out, features=features, report=report)
     print_where(out)
-
-
-def train_on(
-    sequence: Recording, config: ModelConfig, out: Path, *, features: FeatureCache, report: StageProgress
-) -> PoseModel:
-    """Train, calibrate and save; prints what a user should know of the model."""
-    started = time.perf_counter()
-    model = train_model(prepare_training_data(sequence, config, features, report), config, progress=report)
-    save_model(model, out)  # at the end: until then, a model that was there before is whole
-    split, frames = model.split, model.known_frames
-    used = np.concatenate((split.train, split.calibration))
-    parts = {name: len(split.part(name)) for name in ("train", "calibration", "test")}
-    repeated = int(frames.take(used).known(frames.take(split.test)).sum())
-    distance = distances(split, sequence.recording)
-    quality = None
-    if config.method is not Method.PAPER:  # whose system has no more to say
-        quality = examine(sequence, model, just_trained=True, cache=features)
-    metrics = {
-        "command": "train",
-        "model": model_digest(out),
-        "provenance": provenance(),
-        "configuration": model.settings,
-        "seed": config.seed,
-        "split": {"kind": str(split.kind), **parts, **distance, "n_test_same_picture": repeated},
-        "source_comparison": None if model.comparison is None else asdict(model.comparison),
-        "landmarks": None if model.landmarks is None else model.landmarks.summary,
-        "quality": None if quality is None else quality_record(quality),
-        "seconds": round(time.perf_counter() - started, 2),
-    }
-    write_metrics(out, metrics)
-    report_line(
-        f"{sequence.name}: {counted(parts['train'], 'frame')} for training, {parts['calibration']} for calibration, "
-        f"{parts['test']} held out for testing (split {split.kind}, seed {split.seed})"
-    )
-    report_line(describe_distances(distance))
-    if repeated:
-        report_strongly(
-            f"{repeated} of {counted(parts['test'], 'test frame')} {noun_for(repeated, 'shows', 'show')} the same "
-            "picture as a training or calibration frame: their errors do not tell what to expect of new images"
-        )
-    if LandmarkSource.name in config.sources:
-        report_line(describe_landmarks(model.landmarks, model.camera))
-    for line in describe_calibration(model, config, len(np.unique(sequence.recording[used]))):
-        report_line(line)
-    if model.comparison is not None:
-        report_line(model.comparison.describe())
-        if model.comparison.too_sure:
-            report_strongly(
-                "The model's sources are too sure of new stretches, and the coverage guarantee does not reach them: "
-                "calibrate on recordings (more of them), or on frames held out from the model (--calibration frames)."
-            )
-    lines = [one.describe() for one in guarantees(model)] if quality is None else numbers(quality)
-    for line in lines:
-        report_line(line)
-    if quality is not None:
-        report_strongly(verdict(quality))
-        for line in advice(quality):
-            report_line(line)
-    return model

@@ -60,14 +60,14 @@ def advice(quality: RecordingQuality) -> list[str]:
     lines = [guarantee.advice() for guarantee in _unbounded(quality)]
     if quality.coverage is not None:
         # most errors are to be expected in long stretches far from everything known
-        for what, stretches in (
-            ("Record, or train on,", quality.coverage.sparse),
-            ("Move more slowly, or record more views, in", quality.coverage.fast),
+        for what, why, stretches in (
+            ("Record, or train on,", "the nearest known view is {} away", quality.coverage.sparse),
+            ("Move more slowly, or record more views, in", "up to {} from frame to frame", quality.coverage.fast),
         ):
             for one in sorted(stretches, key=lambda one: -one.change * (one.last - one.first + 1)):
-                away = f"views are {one.distance_m:.2f} m and {one.angle_deg:.0f} degrees apart"
-                away = away if np.isfinite(one.distance_m) else "nothing is known"
-                lines.append(f"{what} {_where(one, quality)}: {away}.")
+                change = why.format(f"{one.distance_m:.2f} m and {one.angle_deg:.0f} degrees")
+                change = change if np.isfinite(one.distance_m) else "nothing is known"
+                lines.append(f"{what} {_where(one, quality)}: {change}.")
     if quality.ambiguity is not None:
         for pair in sorted(quality.ambiguity.stretches, key=lambda one: -one.n_frames):
             alike = f"{_where(pair, quality)} look like places {_around(pair.alike_xyz, quality)}"

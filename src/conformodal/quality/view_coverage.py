@@ -55,14 +55,14 @@ class ViewScale:
         radians = angle_between_quats(one.orientations_quat_wxyz, other.orientations_quat_wxyz)
         return ViewChange(np.hypot(metres / self.depth_m, radians) / self.fov_rad, metres, np.degrees(radians))
 
-    def change_from_nearest(self, views: Trajectory, known: Trajectory) -> ViewChange:
+    def change_from_nearest(self, views: Trajectory, known_views: Trajectory) -> ViewChange:
         """The change of n views from the known one that differs least."""
-        if not len(known):
+        if not len(known_views):
             return ViewChange(*np.full((3, len(views)), np.inf))
-        points = self._embedded(known)
+        points = self._embedded(known_views)
         mirrored = points * np.array([1, 1, 1, -1, -1, -1, -1])  # q and -q are one rotation
         _, rows = KDTree(np.concatenate((points, mirrored))).query(self._embedded(views))
-        return self.change(views, known[np.asarray(rows, dtype=np.int64) % len(known)])
+        return self.change(views, known_views[np.asarray(rows, dtype=np.int64) % len(known_views)])
 
     def _embedded(self, poses: Trajectory) -> FloatArray:
         """Points (n, 7) whose distances are changes of view: a quaternion moves by half of a small angle."""
@@ -97,7 +97,7 @@ class PoseCoverage:
 
 
 def pose_coverage(
-    poses: Trajectory, recording: IntArray, known: Trajectory, scale: ViewScale, frames: IntArray | None = None
+    poses: Trajectory, recording: IntArray, known_views: Trajectory, scale: ViewScale, frames: IntArray | None = None
 ) -> PoseCoverage:
     """Compare the views along the path of a camera with those of known frames.
 
@@ -105,7 +105,7 @@ def pose_coverage(
     A known frame covers itself.
     """
     frames = np.arange(len(poses)) if frames is None else frames
-    away, steps = scale.change_from_nearest(poses, known), scale.change(poses[:-1], poses[1:])
+    away, steps = scale.change_from_nearest(poses, known_views), scale.change(poses[:-1], poses[1:])
     sparse = away.share > QUALITY.sparse
     # what is to be recorded anyway is not too fast as well
     fast = (steps.share > QUALITY.fast) & (np.diff(recording) == 0) & ~(sparse[:-1] & sparse[1:])

@@ -14,12 +14,12 @@ with require_extra("run", "a page of results"):
     from jinja2 import Environment, PackageLoader
 
 PAGE = "report.html"
-_LABELS = {
-    "online": "conformal, online: each pose when its frame comes, as a robot gets it",
-    "smoothed": "conformal, with hindsight and smoothed (trajectory.tum)",
-    "hindsight": "conformal, with hindsight, not smoothed",
-    "greedy": "the paper's system: its greedy answer",
-    "classical": "classical regressor on the same features",
+METHOD_LABELS = {
+    "online": "online, as a robot gets it",
+    "smoothed": "smoothed, with hindsight",
+    "hindsight": "hindsight, not smoothed",
+    "greedy": "the paper's greedy answer",
+    "classical": "classical regressor",
 }
 
 
@@ -49,7 +49,7 @@ def write_page(path: Path, content: ReportContent) -> None:
     for figure in content.figures:
         write_whole(path.parent / "figures" / f"{figure.name}.svg", figure.svg)
     errors = content.metrics.get("errors") or {}
-    ordered = [(label, errors[name]) for name, label in _LABELS.items() if name in errors]
+    ordered = [(label, errors[name]) for name, label in METHOD_LABELS.items() if name in errors]
     baseline = errors.get("classical", {}).get("rmse_m")
     render_page(
         path,
