@@ -26,7 +26,6 @@ from conformodal.core.files import default_cache_dir
 from conformodal.features import local as local_features
 from conformodal.features.backbone import at_unit_length, coarse_features
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.features.settings import LOCAL_FEATURES
 from conformodal.io import Disturbance, Recording, read_recording
 from conformodal.localizer.overlap import near_known
 from conformodal.localizer.sources import mapping
@@ -50,7 +49,7 @@ VARIANTS = {  # whether the network retrieves, and the most corners of an image
 
 def with_corners(most: int) -> AbstractContextManager[Any]:
     """Other numbers of local features."""
-    return patch.object(local_features, "LOCAL_FEATURES", replace(LOCAL_FEATURES, max_corners=most))
+    return patch.object(local_features, "MAX_CORNERS", most)
 
 
 def split(mapped: Recording, new: Recording, third: int | None) -> tuple[IntArray, IntArray]:

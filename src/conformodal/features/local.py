@@ -15,9 +15,13 @@ from conformodal.io import thumbnail
 from conformodal.io.decoding import grey_image
 
 from .image_quality import NOT_MEASURED, image_quality
-from .settings import LOCAL_FEATURES
 
 DESCRIPTOR_BYTES = 32
+MAX_CORNERS = 500
+_LEVELS = 4  # of the pyramid; with more, corners come from coarse levels and poses get worse
+_BLUR_PX = 1.2  # before detection: pixel noise of a sigma of 0.2 then leaves descriptors nearly unchanged
+_LEAST_WIDTH_PX = 320  # smaller images are enlarged: descriptors look at 31 pixels around a corner
+_RATIO = 0.85  # of the distances to the nearest and the second nearest descriptor (Lowe 2004)
 _MOST_ALIKE = 8 * DESCRIPTOR_BYTES / 4  # product of equal rows, see _halves
 
 
@@ -53,12 +57,12 @@ Detector: TypeAlias = Callable[[UInt8Array], Corners]
 
 def detect_orb(grey: UInt8Array) -> Corners:
     """ORB (Rublee et al. 2011), in small images enlarged."""
-    enlarged = -(-LOCAL_FEATURES.least_width_px // grey.shape[1])
+    enlarged = -(-_LEAST_WIDTH_PX // grey.shape[1])
     if enlarged > 1:
         grey = np.asarray(cv2.resize(grey, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_LINEAR), np.uint8)
-    grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), LOCAL_FEATURES.blur_px), np.uint8)
+    grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), _BLUR_PX), np.uint8)
     corners, descriptors = cv2.ORB.create(
-        LOCAL_FEATURES.max_corners, 1.2, LOCAL_FEATURES.levels, edgeThreshold=16, fastThreshold=5
+        MAX_CORNERS, 1.2, _LEVELS, edgeThreshold=16, fastThreshold=5
     ).detectAndCompute(grey, None)
     if descriptors is None:
         return Corners(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES), np.uint8))
@@ -87,7 +91,7 @@ def match(descriptors: UInt8Array, others: UInt8Array) -> IntArray:
     first = alike[every, nearest]
     alike[every, nearest] = -np.inf
     distance, second = _MOST_ALIKE - first, _MOST_ALIKE - alike.max(axis=1)
-    rows = np.flatnonzero(distance < LOCAL_FEATURES.ratio * second)
+    rows = np.flatnonzero(distance < _RATIO * second)
     rows = rows[np.argsort(distance[rows], kind="stable")]
     _, best = np.unique(nearest[rows], return_index=True)
     rows = rows[best]

@@ -37,17 +37,3 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         check_ranges(vars(self), VisionError)
-
-
-@dataclass(frozen=True)
-class _LocalFeatureSettings:
-    """ORB (Rublee et al. 2011)."""
-
-    max_corners: int = 500
-    levels: int = 4  # of the pyramid; with more, corners come from coarse levels and poses get worse
-    blur_px: float = 1.2  # before detection: pixel noise of a sigma of 0.2 then leaves descriptors nearly unchanged
-    least_width_px: int = 320  # smaller images are enlarged: descriptors look at 31 pixels around a corner
-    ratio: float = 0.85  # of the distances to the nearest and the second nearest descriptor (Lowe 2004)
-
-
-LOCAL_FEATURES = _LocalFeatureSettings()

@@ -12,8 +12,12 @@ from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import ImageError, Recording
 from conformodal.io.decoding import grey_image
 
-from .settings import FLOW
 from .tracker import CornerTracker
+
+_LONGEST_S = 0.2  # between frames: what moved before says little about now
+_LEAST_CORNERS = 16
+_ITERATIONS = 6
+_LEAST_PX = 0.1  # scale of the residuals, at least
 
 _Step = tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]]
 
@@ -24,15 +28,15 @@ def affine_flow(step: _Step, seconds: float, camera: PinholeCamera) -> FloatArra
     `step` are pixels (n, 2) of the same corners `seconds` ago and now, see :attr:`CornerTracker.step`: those of the
     usable frame directly before, in training as in a run. Zero, if they are few or that is long ago.
     """
-    if not 0 < seconds < FLOW.longest_s or len(step[0]) < FLOW.least_corners:
+    if not 0 < seconds < _LONGEST_S or len(step[0]) < _LEAST_CORNERS:
         return NO_FLOW
     before, now = (camera.undistort(pixels.astype(np.float64)) for pixels in step)
     shifts, rows = now - before, np.column_stack((now, np.ones(len(now))))
     weights = np.ones((len(now), 1))
-    for _ in range(FLOW.iterations):
+    for _ in range(_ITERATIONS):
         flow, *_ = np.linalg.lstsq(rows * weights, shifts * weights, rcond=None)
         off = np.linalg.norm(shifts - rows @ flow, axis=1)
-        weights = 1 / np.sqrt(1 + (off / (np.median(off) + FLOW.least_px)) ** 2)[:, None]
+        weights = 1 / np.sqrt(1 + (off / (np.median(off) + _LEAST_PX)) ** 2)[:, None]
     return np.asarray(flow.T / seconds)
 
 
@@ -40,7 +44,7 @@ def flow_of(sequence: Recording, i: int, image: UInt8Array) -> FloatArray:
     """The flow (2, 3) in a frame of a sequence, its `image`, from the last frame before it that can be read."""
     for before in range(i - 1, -1, -1):
         seconds = float(sequence.timestamps_s[i] - sequence.timestamps_s[before])
-        if not 0 < seconds < FLOW.longest_s or sequence.recording[i] != sequence.recording[before]:
+        if not 0 < seconds < _LONGEST_S or sequence.recording[i] != sequence.recording[before]:
             break
         tracker = CornerTracker()
         try:

@@ -1,4 +1,4 @@
-"""Settings of tracking, relative motion and submaps: numbers that were chosen, not learnt."""
+"""Settings of relative motion and submaps: numbers that were chosen, not learnt."""
 
 from __future__ import annotations
 
@@ -6,31 +6,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-
-
-@dataclass(frozen=True)
-class _TrackerSettings:
-    """How corners are found and followed."""
-
-    max_corners: int = 500  # tracked at a time
-    harris_k: float = 0.04  # weight of the squared trace in the Harris response
-    quality: float = 1e-4  # weakest Harris response, relative to the strongest
-    spacing_share: float = 0.025  # least distance between new corners, as a share of the image width
-    renew_below: float = 0.85  # share of `max_corners` below which new corners are detected
-    window_px: int = 11  # of Lucas-Kanade flow
-    levels: int = 4  # pyramid levels above the image
-    back_levels: int = 1  # the same for tracking back, which starts from the corner's first position
-    max_back_error_px: float = 0.7  # largest distance between a corner and itself tracked forth and back
-
-
-@dataclass(frozen=True)
-class _FlowSettings:
-    """Affine flow of a frame's corners."""
-
-    longest_s: float = 0.2  # between frames: what moved before says little about now
-    least_corners: int = 16
-    iterations: int = 6
-    least_px: float = 0.1  # scale of the residuals, at least
 
 
 @dataclass(frozen=True)
@@ -97,6 +72,5 @@ class _SubmapSettings:
     refinement: dict[str, Any] = field(default_factory=lambda: {"loss_type": "CAUCHY", "loss_scale": 0.5})
 
 
-TRACKER, FLOW = _TrackerSettings(), _FlowSettings()
 RELATIVE_POSE, MOTION_ERRORS = _RelativePoseSettings(), _MotionErrorSettings()
 SUBMAPS = _SubmapSettings()

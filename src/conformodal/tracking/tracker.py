@@ -9,8 +9,15 @@ import numpy as np
 
 from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array
 
-from .settings import TRACKER
-
+_MAX_CORNERS = 500  # tracked at a time
+_RENEW_BELOW = 0.85  # share of these below which new corners are detected
+_HARRIS_K = 0.04  # weight of the squared trace in the Harris response
+_QUALITY = 1e-4  # weakest Harris response, relative to the strongest
+_SPACING = 0.025  # least distance between new corners, as a share of the image width
+_WINDOW_PX = 11  # of Lucas-Kanade flow
+# pyramid levels above the image; and for tracking back, which starts from the corner's first position
+_LEVELS, _BACK_LEVELS = 4, 1
+_MAX_BACK_ERROR_PX = 0.7  # largest distance between a corner and itself tracked forth and back
 _UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 
 
@@ -61,18 +68,16 @@ class CornerTracker:
         if previous is None or len(self._now) == 0:
             self.step = self._now, self._now
             return
-        options: dict[str, Any] = {"winSize": (TRACKER.window_px, TRACKER.window_px), "criteria": _UNTIL}
+        options: dict[str, Any] = {"winSize": (_WINDOW_PX, _WINDOW_PX), "criteria": _UNTIL}
         start = self._now[:, None]
-        there, tracked, _ = cv2.calcOpticalFlowPyrLK(
-            previous, image, start, start.copy(), maxLevel=TRACKER.levels, **options
-        )
+        there, tracked, _ = cv2.calcOpticalFlowPyrLK(previous, image, start, start.copy(), maxLevel=_LEVELS, **options)
         # tracking back may start at its end: a stable corner comes back there, a false one does not
-        options |= {"maxLevel": TRACKER.back_levels, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
+        options |= {"maxLevel": _BACK_LEVELS, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
         back, tracked_back, _ = cv2.calcOpticalFlowPyrLK(image, previous, there, start.copy(), **options)
         there, back = there[:, 0], back[:, 0]
         height, width = image.shape
         alive = (tracked[:, 0] == 1) & (tracked_back[:, 0] == 1)
-        alive &= np.linalg.norm(back - self._now, axis=1) <= TRACKER.max_back_error_px
+        alive &= np.linalg.norm(back - self._now, axis=1) <= _MAX_BACK_ERROR_PX
         alive &= (there >= 0).all(axis=1) & (there <= (width - 1, height - 1)).all(axis=1)
         self.step = self._now[alive], there[alive]
         self._now, self._marked, self._ids = there[alive], self._marked[alive], self._ids[alive]
@@ -81,10 +86,8 @@ class CornerTracker:
         """Measure motion from the current frame on: renew lost corners, and note where all of them are."""
         if self._image is None:
             return
-        most = TRACKER.max_corners
-        missing = most - len(self._now)
-        if len(self._now) < TRACKER.renew_below * most:
-            new = self._new_corners(self._image, missing)
+        if len(self._now) < _RENEW_BELOW * _MAX_CORNERS:
+            new = self._new_corners(self._image, _MAX_CORNERS - len(self._now))
             self._now = np.concatenate((self._now, new))
             self._ids = np.concatenate((self._ids, self._n_ever + np.arange(len(new))))
             self._n_ever += len(new)
@@ -100,11 +103,11 @@ class CornerTracker:
         return Corners(self._ids.copy(), self._now.copy())
 
     def _new_corners(self, image: UInt8Array, count: int) -> Float32Array:
-        spacing = max(3.0, TRACKER.spacing_share * image.shape[1])
+        spacing = max(3.0, _SPACING * image.shape[1])
         free = np.full(image.shape, 255, np.uint8)
         for x, y in self._now:
             cv2.circle(free, (round(float(x)), round(float(y))), round(spacing), 0, -1)
         corners = cv2.goodFeaturesToTrack(
-            image, count, TRACKER.quality, spacing, mask=free, useHarrisDetector=True, k=TRACKER.harris_k
+            image, count, _QUALITY, spacing, mask=free, useHarrisDetector=True, k=_HARRIS_K
         )
         return np.empty((0, 2), np.float32) if corners is None else np.asarray(corners, np.float32).reshape(-1, 2)
