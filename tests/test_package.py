@@ -103,13 +103,6 @@ def test_a_release_says_its_version_everywhere_and_leaves_the_tag_to_people(proj
     assert run("git", "tag", cwd=project) == ""
 
 
-def test_a_dry_run_changes_nothing(project, no_build):
-    before = contents(project)
-    release.release(project, "0.2.0", offline=True, dry_run=True)
-    assert contents(project) == before
-    assert run("git", "status", "--porcelain", cwd=project) == ""
-
-
 def fail(*_, **__):
     raise release.ReleaseError("does not import")
 

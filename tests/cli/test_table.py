@@ -150,13 +150,6 @@ def test_what_is_not_clear_is_refused(tmp_path, content, named):
         read_table(tmp_path / "own.csv")
 
 
-@pytest.mark.parametrize("line", ['"5 inch;1', '1;"5 inch'])  # in the second, commas alone find no quote
-def test_a_quote_that_is_not_closed_is_refused_with_its_line(tmp_path, line):
-    path = written(tmp_path, "\n".join(["a;b", "6;1", line, *["7;2"] * 40_000]))
-    with pytest.raises(TableError, match=r"own\.csv: line 3: .* is its quote not closed"):
-        read_table(path)
-
-
 def frame(n=100):
     rng = np.random.default_rng(0)
     dose = rng.normal(size=n)

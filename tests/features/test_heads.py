@@ -63,15 +63,3 @@ def test_a_trained_head_answers_as_torch_does(components):
         np.testing.assert_allclose(one, other, atol=2e-6)
         np.testing.assert_allclose(one.sum(axis=1), 1)
     assert trained.hidden == CONFIG.hidden
-
-
-def test_a_head_is_trained_on_one_thread_and_the_others_are_there_again():
-    x, y = toy()
-    before, seen = torch.get_num_threads(), []
-    torch.set_num_threads(2)
-    try:
-        fit_head(x, y, [2], soft_cross_entropy, CONFIG, progress=lambda *_: seen.append(torch.get_num_threads()))
-        assert set(seen) == {1}
-        assert torch.get_num_threads() == 2
-    finally:
-        torch.set_num_threads(before)

@@ -111,14 +111,3 @@ def test_submaps_carry_a_path_through_answers_that_err_for_long():
     together = smooth_positions(noisy, spreads, quats, t, DEEP, exact_submaps(positions, rotations))
     assert rms(alone - positions) > 0.15
     assert rms(together - positions) < 0.35 * rms(alone - positions)
-
-
-def test_without_depths_to_expect_submaps_turn_but_do_not_place():
-    t, positions, rotations = path(29)
-    quats = rotations.as_quat(scalar_first=True)
-    unknown = replace(DEEP, depth_m=np.nan, depth_spread=np.nan)
-    noisy = positions + np.random.default_rng(0).normal(size=positions.shape) * 0.05
-    submaps = exact_submaps(positions, rotations)
-    arguments = noisy, np.full(noisy.shape, 0.05), quats, t
-    np.testing.assert_array_equal(smooth_positions(*arguments, unknown, submaps), smooth_positions(*arguments, unknown))
-    assert np.abs(smooth_positions(*arguments, DEEP, submaps) - smooth_positions(*arguments, DEEP)).max() > 1e-3

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Trajectory
-from conformodal.quality.advice import advice, numbers, verdict
+from conformodal.quality.advice import advice, verdict
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.view_coverage import ViewScale, pose_coverage
 
@@ -59,15 +59,6 @@ def test_unknown_frames_far_from_every_known_one_are_sparsely_covered():
     assert len(lines) == 1
     assert "frames 57 to 62 (around x=2.4, y=0.0)" in lines[0]
     assert "0.40 m and 0 degrees" in lines[0]
-
-
-def test_only_frames_that_the_model_was_not_trained_on_are_counted_as_sparsely_covered():
-    poses = corridor()
-    unknown = (EVERY >= 50) & (EVERY < 70)
-    said = numbers(quality(poses, poses[~unknown])[0])[0]
-    assert "6 of 20 frames" in said
-    # a check without a model takes all frames as known: it must not say that none of them is sparsely covered
-    assert "covered" not in numbers(quality(poses, poses)[0])[0]
 
 
 def test_a_piece_cut_out_of_a_recording_is_found():

@@ -1,7 +1,7 @@
 import pytest
 
 from conformodal.geometry import Trajectory
-from conformodal.report.page_frames import describe_run, kind_of, page_frame
+from conformodal.report.page_frames import kind_of, page_frame
 
 HERE = [[-0.05, 0.05]]
 THERE = [[-0.05, 0.05], [9.9, 10.15]]
@@ -42,10 +42,3 @@ def test_a_frame_is_told_by_its_region_and_its_pose(shown, kind, facts):
     assert kind_of(shown) == kind
     for fact in facts:
         assert fact in shown["say"]
-
-
-def test_the_sentence_of_a_run():
-    sentence = describe_run({"one place": 3, "unbounded": 1}, 3, 2, {"when a frame comes": 0.69, "as shown here": 0.18})
-    for fact in ("4 frames: one place in 3, unbounded in 1.", "2 of 3", "0.690 m", "0.180 m"):
-        assert fact in sentence
-    assert describe_run({"empty": 1}, 0, 0, {}) == "1 frame: empty in 1."

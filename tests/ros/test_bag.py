@@ -1,6 +1,5 @@
 """What a run has written as MCAP, read back with rosbags, against what it has written beside it."""
 
-import json
 import sys
 
 import cv2
@@ -148,18 +147,3 @@ def test_what_cannot_be_written_is_named(make_estimate, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
     with pytest.raises(MissingPackageError, match=r"pip install 'conformodal\[ros\]'"):
         BagWriter(tmp_path / "b.mcap")
-
-
-def test_the_layout_of_foxglove_names_topics_that_there_are():
-    from pathlib import Path
-
-    text = (Path(__file__).parents[2] / "docs" / "robots.foxglove.json").read_text(encoding="utf-8")
-    layout = json.loads(text)
-    how = Conventions()
-    known = {how.topic(name) for name in (*TOPICS, "truth", "image/compressed")}
-    named = {word.split(".")[0] for word in text.replace('"', "\n").splitlines() if word.startswith(how.namespace)}
-    assert named <= known
-    assert {how.topic(name) for name in ("pose", "candidates", "region", "path", "status")} <= named
-    panels = set(layout["configById"])
-    placed = {word for word in json.dumps(layout["layout"]).replace('"', "\n").splitlines() if "!" in word}
-    assert placed == panels

@@ -5,8 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.core import parallel
-from conformodal.features import local as local_features
-from conformodal.features.local import Matcher, match
 from conformodal.geometry import Trajectory
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.geometry.settings import MAP_POSES
@@ -125,24 +123,6 @@ def test_an_image_of_something_else_gives_no_estimate(mapped):
     other = make_world(seed=9)
     estimates = mapped[1].localize(other.see(other.poses_se3[3]))
     assert all(estimate.n_inliers < 2 * PNP.min_inliers for estimate in estimates)
-
-
-def test_a_shared_matcher_changes_nothing_and_looks_for_no_pair_twice(world_of, stated_camera, depth_m, monkeypatch):
-    world = world_of(n=40)
-    images, part = world.local_features(), slice(None, None, 2)
-    alone = build_map(images[part], world.poses_se3[part], stated_camera, depth_m)
-    asked = []
-    monkeypatch.setattr(local_features, "match", lambda *pair: asked.append(1) or match(*pair))
-    matcher = Matcher()
-    build_map(images, world.poses_se3, stated_camera, depth_m, matcher=matcher)
-    first = len(asked)
-    shared = build_map(images[part], world.poses_se3[part], stated_camera, depth_m, matcher=matcher)
-    second = len(asked) - first
-    np.testing.assert_array_equal(shared.points_xyz, alone.points_xyz)
-    np.testing.assert_array_equal(shared.descriptors, alone.descriptors)
-    asked.clear()
-    build_map(images[part], world.poses_se3[part], stated_camera, depth_m, matcher=Matcher())
-    assert second < 0.9 * len(asked)
 
 
 @pytest.mark.slow
