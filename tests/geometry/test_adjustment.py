@@ -8,12 +8,12 @@ from conformodal.geometry import rigid_motions
 from conformodal.geometry.adjustment import (
     INVERSE_DEPTHS,
     POSITIONS,
+    SOLVER,
     Adjustment,
     Bundle,
     Observations,
     PosePriors,
 )
-from conformodal.geometry.settings import SOLVER
 
 
 def world(n_cameras=6, n_points=40, seed=0):

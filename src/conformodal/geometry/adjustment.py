@@ -17,13 +17,30 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray, IntArray
 
-from .settings import SOLVER
-
 # Which of the four homogeneous coordinates of points are unknown. One inverse depth per point is well behaved far away
 # (Civera et al. 2008), where the ray from one of the cameras is known.
 POSITIONS, INVERSE_DEPTHS = slice(0, 3), slice(3, 4)
 
 _Matrix: TypeAlias = Any  # sparse or dense, which one operator multiplies alike
+
+
+@dataclass(frozen=True)
+class _SolverSettings:
+    """Levenberg-Marquardt of bundle adjustment."""
+
+    damping: float = 1e-4  # at first
+    least_damping: float = 1e-9
+    dampings: int = 8  # tried in one iteration
+    few_cameras: int = 16  # up to which the equations of cameras are solved directly
+    # residual, as a share of the gradient, at which conjugate gradients end. With 1e-2 to 1e-4 maps localise alike
+    cg_tolerance: float = 1e-2
+    cg_iterations: int = 300
+    nearest: float = 1e-6  # least depth in front of a camera
+    regular: float = 1e-9  # added to diagonals
+    fixed: float = 1e-9  # sigma of what does not change
+
+
+SOLVER = _SolverSettings()
 
 
 class Bundle(NamedTuple):

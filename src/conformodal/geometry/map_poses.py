@@ -19,8 +19,27 @@ from .adjustment import POSITIONS, Adjustment, Bundle, Observations, PosePriors
 from .camera_fit import Mounted
 from .robust import MAD_OF_NORMAL
 from .rotations import rigid_motions
-from .settings import MAP_POSES
 from .triangulation import Points, Rays
+
+
+@dataclass(frozen=True)
+class _MapPosesSettings:
+    """Adjustment of a map's poses."""
+
+    rounds: int = 2  # of triangulation and adjustment; sigmas and mount are learnt after each
+    iterations: int = 8
+    enough: float = 3e-3  # share of the cost below which an iteration ends it
+    tracks: int = 80  # of each frame, the longest first
+    least_views: int = 3
+    least_per_frame: float = 20.0  # observations, on average: with fewer, poses stay as given
+    # standard deviations of the given poses at first, and how far they may fall
+    sigma_rad: float = float(np.radians(1.0))
+    sigma_depths: float = 0.01
+    least_sigma: float = 0.05
+    sigma_focal: float = 0.02  # of the logarithm of the focal length
+
+
+MAP_POSES = _MapPosesSettings()
 
 
 class TriangulatedRays(NamedTuple):

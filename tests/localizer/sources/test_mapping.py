@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.core import parallel
 from conformodal.geometry import Trajectory
 from conformodal.geometry.camera import NO_FLOW
-from conformodal.geometry.settings import MAP_POSES
+from conformodal.geometry.map_poses import MAP_POSES
 from conformodal.localizer.settings import MAPPING, PNP
 from conformodal.localizer.sources import mapping
 from conformodal.localizer.sources.landmarks import LandmarkSource

@@ -13,8 +13,7 @@ from conformodal.core.progress import Progress
 from conformodal.features.local import LocalFeatures, Matcher
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.camera_fit import Matches, fit_camera
-from conformodal.geometry.map_poses import MapPoses, TriangulatedRays, choose_tracks
-from conformodal.geometry.settings import MAP_POSES
+from conformodal.geometry.map_poses import MAP_POSES, MapPoses, TriangulatedRays, choose_tracks
 from conformodal.geometry.triangulation import Rays, triangulate
 from conformodal.localizer.settings import MAPPING
 
