@@ -11,10 +11,10 @@ import numpy as np
 import typer
 
 from conformodal.features.backbone import OnnxBackbone
-from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.config import Runtime
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.store import load_model, model_digest
+from conformodal.quality.guarantee import guarantees
 
 from .console import report_line
 from .failures import report_errors
@@ -39,8 +39,7 @@ def info(
 def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
     """The facts that :func:`info` prints, for JSON."""
     rules, split, camera = model.rules, model.split, model.camera
-    kinds = np.array([kind.value for kind in EvidenceType])
-    reached = np.atleast_1d(np.isfinite(rules.thresholds(kinds)).all(axis=1)).tolist()
+    by_type = guarantees(model)
     return {
         "model": model_digest(folder),
         "method": str(model.method),
@@ -56,7 +55,8 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
         "n_calibration": model.n_calibration,
         "novelty_level": rules.level,
         "recognised_level": model.recognised_level,
-        "bounded_regions": {kind.name.lower(): one for kind, one in zip(EvidenceType, reached, strict=True)},
+        "bounded_regions": {one.evidence.name.lower(): one.finite for one in by_type},
+        "guarantees": [one.describe() for one in by_type],
         "radius_m": None if model.radius is None else model.radius.radius_m,
         "bytes": {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()},
         "network": model.backbone.config.name,
@@ -70,7 +70,6 @@ def describe_facts(facts: dict[str, Any]) -> list[str]:
     camera, parts = facts["camera"], ", ".join(f"{n} for {part}" for part, n in facts["frames"].items())
     what = "the whole pose" if facts["joint"] != "none" else "each target by itself"
     units = "frames" if facts["calibrated_on"] == "frames" else "frames, in whole stretches or recordings,"
-    unbounded = [kind for kind, bounded in facts["bounded_regions"].items() if not bounded and kind != "unknown"]
     radius = f"{facts['radius_m']:.3f} m" if facts["radius_m"] is not None else "none (conformodal calibrate gives one)"
     return [
         f"trained on {facts['data']}: frames {parts} (split {facts['split']}, seed {facts['seed']})",
@@ -78,7 +77,7 @@ def describe_facts(facts: dict[str, Any]) -> list[str]:
         f"method {facts['method']}; sources: {', '.join(facts['sources'])}",
         f"guarantee: regions hold {what} with probability at least {1 - facts['alpha']:g}, for frames exchangeable "
         f"with the {facts['n_calibration']} {units} that calibrated them",
-        *(f"evidence {kind}: too few calibration frames, the region is unbounded" for kind in unbounded),
+        *facts["guarantees"],
         f"images whose p-value of showing a known place is at most {facts['novelty_level']:g} "
         f"({facts['recognised_level']:g} where a place is recognised) get an unbounded region",
         f"radius around the chosen pose: {radius}",
