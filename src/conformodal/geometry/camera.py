@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
@@ -12,9 +11,6 @@ from conformodal.core.arrays import FloatArray
 from .rotations import PoseError
 
 NO_FLOW = np.zeros((2, 3))
-_UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-8)
-# in OpenCV 4 the function that takes a criterion has its own name; in OpenCV 5 there is one function
-_undistort_points = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
 
 
 @dataclass(frozen=True)
@@ -71,8 +67,13 @@ class PinholeCamera:
         """Pixels (n, 2) of the same rays in the pinhole camera without distortion."""
         if not self.distortion or not len(pixels):
             return pixels
+        import cv2  # noqa: PLC0415 - poses and regions need no package for images
+
+        # in OpenCV 4 the function that takes a criterion has its own name; in OpenCV 5 there is one function
+        undistort_points = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+        until = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-8)
         lens = np.array(self.distortion)
-        ideal = _undistort_points(pixels[:, None], self.matrix, lens, R=np.eye(3), P=self.matrix, criteria=_UNTIL)
+        ideal = undistort_points(pixels[:, None], self.matrix, lens, R=np.eye(3), P=self.matrix, criteria=until)
         return np.asarray(ideal, dtype=np.float64)[:, 0]
 
     def at_pose_time(self, pixels: FloatArray, flow: FloatArray, shutter: FloatArray) -> FloatArray:
