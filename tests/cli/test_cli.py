@@ -142,8 +142,7 @@ def flights(small_world, tmp_path_factory):
 
 def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path):
     model = shutil.copytree(small_world.model, tmp_path / "model")
-    cache = ["--cache", tmp_path / "cache"]
-    result = run_ok("calibrate", model, flights, "--alpha", "0.2", "--guarantee", "recording", *cache)
+    result = run_ok("calibrate", model, flights, "--alpha", "0.2", "--guarantee", "recording")
     assert "every frame of it is within the radius with probability at least 0.8" in " ".join(result.output.split())
     result = run_ok("run", model, flights, "--out", tmp_path / "out")
     radius = json.loads((tmp_path / "out" / "metrics.json").read_text())["radius"]
@@ -158,7 +157,7 @@ def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path
     run_ok("run", model, flights, "--limit", 3, "--out", tmp_path / "part")
     assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None
 
-    result = run_ok("calibrate", model, flights, *cache)
+    result = run_ok("calibrate", model, flights)
     text = " ".join(result.output.split())
     assert "The radius is infinite: 5 recordings are too few for alpha = 0.1; at least 9" in text
     result = invoke("run", model, flights, "--out", tmp_path / "out")

@@ -55,8 +55,8 @@ def test_the_papers_answer_gets_no_radius(trained, small_world):
 def out(small_world, tmp_path, monkeypatch):
     """Holds the first half of the small corridor's flight, as if an earlier demo had written it."""
     folder = tmp_path / "out"
-    shutil.copytree(small_world.folder, folder / "corridor" / "seed-3")
-    images = sorted((folder / "corridor" / "seed-3" / "seq-01").glob("*.color.png"))
+    shutil.copytree(small_world.folder, folder / "corridor" / "corridor-3")
+    images = sorted((folder / "corridor" / "corridor-3" / "seq-01").glob("*.color.png"))
     for image in images[len(images) // 2 :]:
         image.unlink()
         image.with_name(image.name.replace("color.png", "pose.txt")).unlink()

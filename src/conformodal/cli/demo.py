@@ -70,7 +70,7 @@ def demo(
     """Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and motion."""
     started, config, features = time.perf_counter(), _config(method, seed), FeatureCache(out / "cache")
     with lock_output(out, "demo"), progress_bars(out) as report:
-        sequence = _corridor(out / "corridor" / f"seed-{seed}", seed, report)
+        sequence = _corridor(out / "corridor" / f"corridor-{seed}", seed, report)
         model = train_on(sequence, config, out / "model", features=features, report=report)
         answered = _AnsweredFrames()
         stream = RecordingStream(sequence, part_frames(model, sequence, Part.TEST))
