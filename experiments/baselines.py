@@ -1,6 +1,7 @@
 """Other ways to regress a pose from the same features; a new one is a function here, under :func:`register_baseline`.
 
-The networks have trunk, optimiser and epochs of the tuned regressor. Locally linear regression has no network.
+The networks have trunk, optimiser and epochs of the tuned regressor. Locally linear regression has no network: it is
+one pose source of the conformal method on its own, with a larger search of its settings.
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 import torch
-from sklearn.linear_model import Ridge
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray, evenly_spread
+from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.features.backbone import feature_views
 from conformodal.features.heads import Head, Loss, fit_head, mean_squared_error, predict_values
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import held_out_together
+from conformodal.localizer.sources.neighbours import LocalSettings, fit_local
 from conformodal.localizer.targets import TARGET_NAMES
 from conformodal.pipeline.plain import known_frames
 from conformodal.pipeline.training_data import TrainingData
@@ -30,8 +32,7 @@ Features: TypeAlias = npt.NDArray[np.float32]
 _D = len(TARGET_NAMES)
 N_COMPONENTS = 5  # of the mixture
 _N_MEMBERS = 5  # of the ensemble
-_LOCAL = tuple(product((16, 64, 256), (10, 20, 40), (0.001, 0.01, 0.1)))  # components, neighbours, ridge
-_LEFT_OUT = 200  # frames that these are chosen on
+_LOCAL = tuple(LocalSettings(*c, None) for c in product((16, 64, 256), (10, 20, 40), (0.001, 0.01, 0.1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,52 +138,15 @@ def deep_ensemble(task: RegressionTask) -> Baseline:
 def local_regression(task: RegressionTask) -> Baseline:
     """Linear regression among the most similar frames (Cleveland 1979), chosen by leaving pieces of the split out."""
     data, rows = task.data, known_frames(task.data)
+    features, targets = data.features[rows], data.targets[rows]
     pieces = held_out_together(data.sequence.recording, data.split.kind, given_test=data.sequence.given_test)[rows]
-    targets, left_out = data.targets[rows], evenly_spread(len(rows), _LEFT_OUT)
-    hidden = pieces[left_out, None] == pieces
-    projections = [data.projection(rows, _LOCAL[-1][0], whole=whole) for whole in (False, True)]
-    references = [projection.apply(data.features[rows]) for projection in projections]
-
-    def error(choice: tuple[int, tuple[int, int, float]]) -> float:
-        view, settings = choice
-        values = locally_linear(references[view], targets, references[view][left_out], *settings, hidden)
-        return float(np.median(np.square((values - targets[left_out]) / task.tuned.scale).sum(axis=1)))
-
-    view, settings = min(product(range(len(projections)), _LOCAL), key=error)
+    views = feature_views(features.shape[1])
+    regression = fit_local(features, targets, pieces, choices=_LOCAL, views=views).regression.slim()
 
     def predict(features: Features) -> FloatArray:
-        return locally_linear(references[view], targets, projections[view].apply(features), *settings)
+        return regression.predict(regression.projection.apply(features)).values[:, 0]
 
-    return Baseline(predict, references[view][:, : settings[0]].size + targets.size)
-
-
-def locally_linear(
-    references: Features,
-    targets: FloatArray,
-    queries: Features,
-    components: int,
-    neighbours: int,
-    ridge: float,
-    hidden: BoolArray | None = None,
-) -> FloatArray:
-    """Targets (m, d) of queries by weighted ridge regressions; `hidden` (m, n) are references that each must not see.
-
-    `ridge` is in units of the neighbours' spread.
-    """
-    values = np.empty((len(queries), targets.shape[1]))
-    for i, query in enumerate(queries):
-        offsets = references[:, :components].astype(np.float64) - query[:components]
-        squares = np.square(offsets).sum(axis=1)
-        if hidden is not None:
-            squares[hidden[i]] = np.inf
-        near = np.argsort(squares)[:neighbours]
-        near = near[np.isfinite(squares[near])]
-        weights = np.exp(-2 * squares[near] / max(float(squares[near].max()), 1e-12))
-        penalty = (
-            ridge * float(weights @ np.square(offsets[near] - offsets[near].mean(axis=0)).sum(axis=1)) / neighbours
-        )
-        values[i] = Ridge(penalty).fit(offsets[near], targets[near], sample_weight=weights).intercept_
-    return values
+    return Baseline(predict, regression.references.size + regression.targets.size)
 
 
 def mixture_loss(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:

@@ -220,8 +220,8 @@ def notes_on(methods: Sequence[Method], seeds: Sequence[int], epochs: int, netwo
     ]
     if Method.CONFORMODAL in methods:
         notes.append(
-            "Ours: the smoothed answer, which uses later frames too. Regions rest on softmax and landmarks. "
-            "Whole pose covered: at alpha = 0.1 (joint max), guaranteed for interleaved without noise, "
+            "Ours: the smoothed answer, which uses later frames too. Regions rest on softmax, neighbours and "
+            "landmarks. Whole pose covered: at alpha = 0.1 (joint max), guaranteed for interleaved without noise, "
             "otherwise an observation; unbounded regions count as covered."
         )
     return notes
