@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-# lines of Python
-LINES = {"src": 30_700, "tests": 21_350, "benchmarks": 5_000, "experiments": 2_650, "scripts": 260}
-SOURCE_FILES = 260
+# Lines of Python. A budget only ever falls; the goals are 21,000 of source in 165 files, 14,000 of tests and 3,500 of
+# benchmarks.
+LINES = {"src": 27_000, "tests": 15_200, "benchmarks": 3_600, "experiments": 2_700, "scripts": 250}
+SOURCE_FILES = 215
 
 
 def python_files(folder):
