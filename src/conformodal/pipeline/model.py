@@ -253,9 +253,15 @@ class PoseModel:
         kinds[[support.out_of_range for support in supports]] = EvidenceType.UNKNOWN
         return Localization(beliefs, self.image_regions(beliefs, kinds, supports), p, kinds)
 
-    def image_regions(self, beliefs: Beliefs, kinds: IntArray, supports: Sequence[Support]) -> PoseRegions:
-        """Regions of n images, each by itself, from their evidence types (n,), at the miscoverage rate in force."""
+    def image_regions(
+        self, beliefs: Beliefs, kinds: IntArray, supports: Sequence[Support] | None = None
+    ) -> PoseRegions:
+        """Regions of n images, each by itself, from their evidence types (n,), at the miscoverage rate in force.
+
+        `supports` are those of the beliefs, where they were computed before.
+        """
         thresholds = self.rules.thresholds(kinds)
+        supports = self.localizer.supports(beliefs) if supports is None else supports
         return self._level_sets(self.rules.overall, beliefs, supports, thresholds)
 
     def _level_sets(
