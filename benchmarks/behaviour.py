@@ -45,7 +45,7 @@ def worlds(corridor: Path) -> dict[str, tuple[Path, tuple[str, ...], Path, tuple
     }
 
 
-def answer(out: Path, source: Path, sources: str, names: list[str]) -> None:
+def answer(out: Path, source: Path, sources: str, seed: int, names: list[str]) -> None:
     """Train and run in each world with the package in a source folder."""
     python = [sys.executable, "-c"]
     environment = {**os.environ, "PYTHONPATH": str(source), "CONFORMODAL_CACHE": str(out / "cache")}
@@ -62,7 +62,7 @@ def answer(out: Path, source: Path, sources: str, names: list[str]) -> None:
     for name, (recording, how, queries, part) in worlds(corridor).items():
         if name in names:
             model = out / name / "model"
-            call(*command, "train", recording, "--out", model, "--seed", "0", "--sources", sources, *how)
+            call(*command, "train", recording, "--out", model, "--seed", seed, "--sources", sources, *how)
             call(*command, "run", model, queries, "--out", out / name / "run", *part)
             print(f"{name}: answered", flush=True)
 
@@ -131,10 +131,11 @@ def main() -> None:
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--source", type=Path, default=ROOT / "src")
     parser.add_argument("--sources", default=SOURCES, help="pose sources of the models")
+    parser.add_argument("--seed", type=int, default=0, help="of the trainings")
     parser.add_argument("--worlds", nargs="+", default=list(worlds(Path())), choices=list(worlds(Path())))
     options = parser.parse_args()
     if options.what == "answer":
-        answer(options.folders[0], options.source, options.sources, options.worlds)
+        answer(options.folders[0], options.source, options.sources, options.seed, options.worlds)
     else:
         compare(*options.folders, options.worlds)
 
