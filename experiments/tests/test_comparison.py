@@ -68,5 +68,5 @@ def test_no_path_goes_on_from_recording_to_recording(world, whole):
     check_equal(apart["softmax_mean"], whole["softmax_mean"])
     check_equal(apart["greedy"][:half], whole["greedy"][:half])
     single = compared(world, np.arange(n))
-    still = compared(world, np.arange(n), motions=[None] * n)
+    still = compared(world, np.arange(n), estimates=[replace(one, relative_motion=None) for one in world[1].estimates])
     check_equal(single["greedy"], still["greedy"])  # no motion leads from frame to frame

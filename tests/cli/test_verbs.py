@@ -27,7 +27,7 @@ def test_info_names_training_data_guarantee_and_size(small_world):
     model = load_model(small_world.model)
     assert found["frames"] == {part: len(model.split.part(part)) for part in ("train", "calibration", "test")}
     assert found["alpha"] == 0.2
-    assert found["sources"] == ["head", "landmarks"]
+    assert found["sources"] == list(model.settings["sources"])
     assert found["runtime"] == "onnx"
     assert found["network_ms"] > 0
     (weights,) = small_world.model.glob("weights-*")
