@@ -32,7 +32,7 @@ from conformodal.localizer.sources import mapping
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.depths import measure_depths
 from conformodal.pipeline.train import prepare_training_data
-from conformodal.tracking.flow import frame_features
+from conformodal.tracking.motions import frame_features
 
 KITCHEN, DESK, XYZ = "7scenes/redkitchen", "tum/fr1_desk", "tum/fr1_xyz"
 PARTS = [(KITCHEN, 0), *((DESK, third) for third in range(3))]

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from conformodal.corridor.writer import write_corridor
 from conformodal.geometry import RelativeMotion, Trajectory
 from conformodal.io import Recording, read_recording
-from conformodal.tracking.frontend import MotionFrontEnd
-from conformodal.tracking.two_view import TwoViewSolver, solve_opencv, solve_poselib
+from conformodal.tracking.relative_pose import TwoViewSolver, solve_opencv, solve_poselib
+from conformodal.tracking.tracker import MotionFrontEnd
 
 N_FRAMES = 1000
 

@@ -23,7 +23,7 @@ from conformodal.localizer.sources.neighbours import NeighbourSource  # noqa: E4
 from conformodal.pipeline import estimator  # noqa: E402
 from conformodal.pipeline.estimator import VisualOdometry  # noqa: E402
 from conformodal.pipeline.model import PoseModel  # noqa: E402
-from conformodal.tracking.frontend import MotionFrontEnd  # noqa: E402
+from conformodal.tracking.tracker import MotionFrontEnd  # noqa: E402
 
 WARM = 10
 PARTS = ("network", "tracking and relative pose", "local features", "landmarks", "neighbours", "regions", "filter")

@@ -8,7 +8,6 @@ from conformodal.geometry import rigid_motions
 from conformodal.geometry.adjustment import (
     INVERSE_DEPTHS,
     POSITIONS,
-    SOLVER,
     Adjustment,
     Bundle,
     Observations,
@@ -71,7 +70,7 @@ def test_submaps_without_noise_are_exact_up_to_their_length(seed):
 
 @pytest.mark.parametrize("few_cameras", [0, 100])  # by conjugate gradients, and directly
 def test_maps_without_noise_are_exact_with_their_focal_length(monkeypatch, few_cameras):
-    monkeypatch.setattr(adjustment_module, "SOLVER", changed(few_cameras=few_cameras))
+    monkeypatch.setattr(adjustment_module, "_FEW_CAMERAS", few_cameras)
     exact = world()._replace(log_focal=0.03)
     problem = Adjustment(observe(exact), 1e-3, 1.0, POSITIONS, 50, 1e-12, priors_of(exact), focal_sigma=1.0)
     fit = problem.solve(disturb(exact, POSITIONS))
@@ -80,13 +79,10 @@ def test_maps_without_noise_are_exact_with_their_focal_length(monkeypatch, few_c
     assert fit.bundle.log_focal == pytest.approx(0.03, abs=1e-4)
 
 
-def changed(**settings):
-    return type(SOLVER)(**{**vars(SOLVER), **settings})
-
-
 @pytest.mark.parametrize("few_cameras", [0, 100])
 def test_solutions_agree_with_scipy(monkeypatch, few_cameras):
-    monkeypatch.setattr(adjustment_module, "SOLVER", changed(few_cameras=few_cameras, cg_tolerance=1e-10))
+    monkeypatch.setattr(adjustment_module, "_FEW_CAMERAS", few_cameras)
+    monkeypatch.setattr(adjustment_module, "_CG_TOLERANCE", 1e-10)
     exact = world(3, 12)
     observations, priors = observe(exact, noise=1e-3), priors_of(exact)
     n, p, sigma, cauchy = 3, 12, 1e-3, 2.0

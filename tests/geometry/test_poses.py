@@ -13,7 +13,7 @@ from conformodal.geometry import (
     sign_reference,
     trajectory_errors,
 )
-from conformodal.geometry.rotations import check_rotation_matrices
+from conformodal.geometry.poses import check_rotation_matrices
 from conformodal.io import DatasetError
 from conformodal.io.pose_files import KITTI_RATE_HZ, euroc_table, kitti_table, read_tum, write_tum
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from conformodal.geometry import PinholeCamera
-from conformodal.geometry.camera_fit import Matches, fit_camera
-from conformodal.geometry.map_poses import TriangulatedRays, choose_tracks
+from conformodal.geometry.map_poses import Matches, TriangulatedRays, choose_tracks, fit_camera
 from conformodal.geometry.triangulation import MIN_PARALLAX_RAD, Rays, triangulate
 
 CAMERA = PinholeCamera(500, 500, 320, 240, 640, 480)

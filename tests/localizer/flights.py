@@ -23,7 +23,7 @@ def exact_motions(positions, rotations):
         R = rotations[t - 1].inv() * rotations[t]
         step = rotations[t - 1].inv().apply(positions[t] - positions[t - 1])
         direction, spreads = step / np.linalg.norm(step), np.radians([0.3, 8])
-        motions.append(RelativeMotion(MotionStatus.OK, R.as_matrix(), direction, 100, 100, 0.02, *spreads))
+        motions.append(RelativeMotion(MotionStatus.OK, R.as_matrix(), direction, 100, 100, *spreads))
     return motions
 
 

@@ -3,7 +3,7 @@ import pytest
 
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.camera import NO_FLOW
-from conformodal.tracking.flow import affine_flow
+from conformodal.tracking.tracker import affine_flow
 
 CAMERA = PinholeCamera(500, 500, 320, 240, 640, 480)
 FLOW = np.array([[0.5, -1.0, 200.0], [1.0, 0.2, -90.0]])  # pixels per second

@@ -7,10 +7,16 @@ from conformodal.corridor.render import Renderer
 from conformodal.corridor.world import CorridorWorld
 from conformodal.geometry import MotionStatus, PinholeCamera
 from conformodal.io import read_recording
-from conformodal.tracking.frontend import MotionFrontEnd
-from conformodal.tracking.relative_pose import estimate_relative_motion, image_cells, plane_motions
-from conformodal.tracking.settings import MOTION_ERRORS
-from conformodal.tracking.two_view import solve_opencv, solve_poselib
+from conformodal.tracking.relative_pose import (
+    DIRECTION_FACTOR,
+    ROTATION_FACTOR,
+    estimate_relative_motion,
+    image_cells,
+    plane_motions,
+    solve_opencv,
+    solve_poselib,
+)
+from conformodal.tracking.tracker import MotionFrontEnd
 
 CAMERA = PinholeCamera(500, 510, 320, 240, 640, 480)
 
@@ -38,7 +44,7 @@ def test_no_sign_or_order_error_survives(seed, plane):
     rotvec, centre = rng.normal(size=3) * 0.08, rng.normal(size=3) * 0.5
     before, after, R = two_views(rotvec, centre, seed=seed, plane=plane)
     motion = estimate_relative_motion(before, after, CAMERA)
-    ways = plane_motions(before, after, CAMERA, 1.0)
+    ways = plane_motions(before, after, CAMERA)
     assert bool(ways) == plane
     truth = centre / np.linalg.norm(centre)
     if plane:  # the truth is among the motions that the plane allows
@@ -145,9 +151,9 @@ def test_claimed_spreads_follow_the_errors_that_neighbouring_corners_share(scale
         after = after + rng.normal(size=(12, 2))[image_cells(before, CAMERA)] * scale
         motion = estimate_relative_motion(before, after, CAMERA)
         error = Rotation.from_matrix(motion.R_prev_next.T @ R).magnitude()
-        turns.append(error / 1.538 / motion.rotation_sigma_rad * MOTION_ERRORS.rotation_factor)
+        turns.append(error / 1.538 / motion.rotation_sigma_rad * ROTATION_FACTOR)
         angle = np.arccos(np.clip(motion.direction_prev @ centre / np.linalg.norm(centre), -1, 1))
-        ways.append(angle / 1.177 / motion.direction_sigma_rad * MOTION_ERRORS.direction_factor)
+        ways.append(angle / 1.177 / motion.direction_sigma_rad * DIRECTION_FACTOR)
     assert 1 / 1.6 < np.median(turns) < 1.6
     assert 1 / 1.6 < np.median(ways) < 1.6
 

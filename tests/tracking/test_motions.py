@@ -4,8 +4,7 @@ import pytest
 
 from conformodal.geometry import PinholeCamera
 from conformodal.io import ImageError
-from conformodal.tracking.flow import frame_features
-from conformodal.tracking.motions import measure_motions
+from conformodal.tracking.motions import frame_features, measure_motions
 
 W, H = 320, 240
 HZ = 30

@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 from conformodal.geometry import PinholeCamera
 from conformodal.io import read_recording
 from conformodal.io.decoding import grey_image
+from conformodal.tracking.relative_pose import solve_poselib
 from conformodal.tracking.submaps import build_submaps
 from conformodal.tracking.tracker import Corners, CornerTracker
-from conformodal.tracking.two_view import solve_poselib
 
 CAMERA = PinholeCamera(500, 510, 320, 240, 640, 480)
 

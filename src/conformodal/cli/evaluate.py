@@ -12,8 +12,7 @@ import typer
 from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted, noun_for
 from conformodal.geometry import Alignment, Trajectory, align, associate, poses_at, recall, relative_errors
-from conformodal.geometry.alignment import straightness
-from conformodal.geometry.metrics import KITTI_LENGTHS_M, MAX_GAP_S, clock_hint, kitti_drift
+from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, straightness
 from conformodal.io import Layout
 from conformodal.io.folders import writing_in
 from conformodal.localizer.targets import TARGET_NAMES
@@ -116,7 +115,7 @@ def _coverage(records: list[dict[str, Any]], truth: Trajectory, sign_reference: 
 
 
 def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
-    """Recall; relative errors from pose to pose; and KITTI's drift where the path is long enough."""
+    """Recall, and relative errors from pose to pose."""
     errors: dict[str, Any] = {"recall": recall(estimate, truth)}
     if len(truth) > 1:
         metres, degrees = relative_errors(estimate, truth)
@@ -124,9 +123,6 @@ def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
             "rpe_rmse_m": float(np.sqrt(np.mean(metres**2))),
             "rpe_rmse_deg": float(np.sqrt(np.mean(degrees**2))),
         }
-    length = float(np.sum(np.linalg.norm(np.diff(truth.positions_xyz, axis=0), axis=1)))
-    if length > KITTI_LENGTHS_M[0]:
-        errors |= dict(zip(("drift_percent", "drift_deg_per_m"), kitti_drift(estimate, truth), strict=True))
     return errors
 
 

@@ -32,7 +32,7 @@ class LocalFeatures(NamedTuple):
     descriptors: UInt8Array  # (n, 32)
     global_descriptor: Float32Array  # at unit length: thumbnail or network's map
     quality: FloatArray = NOT_MEASURED  # (3,), see image_quality
-    flow: FloatArray = NO_FLOW  # (2, 3), see conformodal.tracking.flow
+    flow: FloatArray = NO_FLOW  # (2, 3), see conformodal.tracking.tracker.affine_flow
 
     @property
     def flows(self) -> FloatArray:

@@ -3,9 +3,10 @@
 Invalid values raise :class:`PoseError`.
 """
 
-from .alignment import Alignment, align
 from .camera import PinholeCamera
 from .metrics import (
+    Alignment,
+    align,
     associate,
     orientation_errors_deg,
     poses_at,
@@ -14,10 +15,14 @@ from .metrics import (
     relative_errors,
     trajectory_errors,
 )
-from .relative import MotionStatus, RelativeMotion, Submap
-from .rotations import (
+from .poses import (
+    MotionStatus,
     PoseError,
+    RelativeMotion,
+    Submap,
+    Trajectory,
     angle_between_quats,
+    concatenate,
     cross_matrices,
     fix_sign,
     matrix_from_quat_wxyz,
@@ -25,4 +30,3 @@ from .rotations import (
     rigid_motions,
     sign_reference,
 )
-from .trajectory import Trajectory, concatenate

@@ -2,7 +2,7 @@
 
 One solver for maps of hundreds of frames and for submaps of nine. Levenberg-Marquardt with Cauchy weights; the Schur
 complement removes the points. The unknowns left are solved for directly where cameras are few, and by conjugate
-gradients (Agarwal et al. 2010) without forming their matrix where they are many.
+gradients (Agarwal et al. 2010) without forming their matrix where they are many. Robust statistics stand beside it.
 """
 
 from __future__ import annotations
@@ -17,30 +17,31 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray, IntArray
 
+# Of standard normal variables: the median absolute value; the median length of a vector in two and in three
+# dimensions; and the 95th percentile of the latter.
+MAD_OF_NORMAL = 0.6745
+MEDIAN_OF_NORM2, MEDIAN_OF_NORM3, TAIL_OF_NORM3 = 1.177, 1.5382, 2.7955
+_CAUCHY = 2.0  # Cauchy's scale in standard deviations: larger residuals get less weight
+
 # Which of the four homogeneous coordinates of points are unknown. One inverse depth per point is well behaved far away
 # (Civera et al. 2008), where the ray from one of the cameras is known.
 POSITIONS, INVERSE_DEPTHS = slice(0, 3), slice(3, 4)
 
 _Matrix: TypeAlias = Any  # sparse or dense, which one operator multiplies alike
 
-
-@dataclass(frozen=True)
-class _SolverSettings:
-    """Levenberg-Marquardt of bundle adjustment."""
-
-    damping: float = 1e-4  # at first
-    least_damping: float = 1e-9
-    dampings: int = 8  # tried in one iteration
-    few_cameras: int = 16  # up to which the equations of cameras are solved directly
-    # residual, as a share of the gradient, at which conjugate gradients end. With 1e-2 to 1e-4 maps localise alike
-    cg_tolerance: float = 1e-2
-    cg_iterations: int = 300
-    nearest: float = 1e-6  # least depth in front of a camera
-    regular: float = 1e-9  # added to diagonals
-    fixed: float = 1e-9  # sigma of what does not change
+_DAMPING, _LEAST_DAMPING = 1e-4, 1e-9  # of Levenberg-Marquardt, at first and at least
+_DAMPINGS = 8  # tried in one iteration
+_FEW_CAMERAS = 16  # up to which the equations of cameras are solved directly
+# residual, as a share of the gradient, at which conjugate gradients end. With 1e-2 to 1e-4 maps localise alike
+_CG_TOLERANCE, _CG_ITERATIONS = 1e-2, 300
+_NEAREST = 1e-6  # least depth in front of a camera
+_REGULAR = 1e-9  # added to diagonals
+_FIXED = 1e-9  # sigma of what does not change
 
 
-SOLVER = _SolverSettings()
+def cauchy(residual: FloatArray) -> FloatArray:
+    """Cauchy weights (n,) of residuals in standard deviations."""
+    return np.asarray(1 / (1 + (residual / _CAUCHY) ** 2))
 
 
 class Bundle(NamedTuple):
@@ -94,40 +95,26 @@ class Fit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """A problem of bundle adjustment.
-
-    Attributes
-    ----------
-    sigma
-        Standard deviation of an observation on the plane at depth 1.
-    cauchy
-        Residuals larger than so many sigmas are down-weighted.
-    unknown
-        :data:`POSITIONS` or :data:`INVERSE_DEPTHS`.
-    focal_sigma
-        Standard deviation of the focal length's logarithm; by default it does not change.
-    iterations, enough
-        Iterations at most, and the relative decrease of the cost that ends them.
-    """
+    """A problem of bundle adjustment."""
 
     observations: Observations
-    sigma: float
-    cauchy: float
-    unknown: slice
-    iterations: int
-    enough: float
+    sigma: float  # standard deviation of an observation on the plane at depth 1
+    cauchy: float  # residuals larger than so many sigmas are down-weighted
+    unknown: slice  # POSITIONS or INVERSE_DEPTHS
+    iterations: int  # at most
+    enough: float  # relative decrease of the cost that ends them
     priors: PosePriors | None = None
-    focal_sigma: float = SOLVER.fixed
+    focal_sigma: float = _FIXED  # standard deviation of the focal length's logarithm; by default it does not change
 
     def solve(self, start: Bundle) -> Fit:
         """The bundle of least cost near a start."""
-        fit, damping = self.evaluate(start), SOLVER.damping
+        fit, damping = self.evaluate(start), _DAMPING
         for _ in range(self.iterations):
             equations = self._linearise(fit)
-            for _ in range(SOLVER.dampings):
+            for _ in range(_DAMPINGS):
                 trial = self.evaluate(equations.step(fit.bundle, damping))
                 if trial.cost <= fit.cost:
-                    damping = max(damping / 10, SOLVER.least_damping)
+                    damping = max(damping / 10, _LEAST_DAMPING)
                     break
                 damping *= 10
             else:
@@ -145,7 +132,7 @@ class Adjustment:
         local = np.einsum(
             "mba,mb->ma", bundle.R_world_cam[camera], points[:, :3] - points[:, 3:] * bundle.centres[camera]
         )
-        ahead = np.maximum(local[:, 2:], SOLVER.nearest)
+        ahead = np.maximum(local[:, 2:], _NEAREST)
         residuals = (local[:, :2] / ahead * np.exp(bundle.log_focal) - plane) / self.sigma
         cost = self.cauchy**2 * np.log1p((residuals**2).sum(axis=1) / self.cauchy**2).sum()
         cost += (bundle.log_focal / self.focal_sigma) ** 2
@@ -157,7 +144,7 @@ class Adjustment:
     def _linearise(self, fit: Fit) -> _NormalEquations:
         """Normal equations about a fit."""
         bundle, (camera, point, _) = fit.bundle, self.observations
-        z = np.maximum(fit.local[:, 2], SOLVER.nearest)
+        z = np.maximum(fit.local[:, 2], _NEAREST)
         x, y = fit.local[:, 0], fit.local[:, 1]
         u, v = x / z, y / z
         root = 1 / np.sqrt(1 + (fit.residuals**2).sum(axis=1) / self.cauchy**2)
@@ -178,7 +165,7 @@ class Adjustment:
         d = by_point.shape[2]
 
         products = _grams(changes, changes, self.observations.starts(len(bundle.centres)))
-        cameras, gradients = products[:, :6, :6] + SOLVER.regular * np.eye(6), products[:, :6, 7]
+        cameras, gradients = products[:, :6, :6] + _REGULAR * np.eye(6), products[:, :6, 7]
         if self.priors is not None and fit.deviations is not None:
             cameras = cameras + np.diag(1 / self.priors.sigmas**2)
             gradients = gradients + fit.deviations / self.priors.sigmas
@@ -218,7 +205,7 @@ class _NormalEquations:
     def step(self, bundle: Bundle, damping: float) -> Bundle:
         """The bundle after a damped step."""
         n, (p, d) = len(self.cameras), self.focal_points.shape
-        inverse = np.linalg.inv(_damped(self.points, damping) + SOLVER.regular * np.eye(d))
+        inverse = np.linalg.inv(_damped(self.points, damping) + _REGULAR * np.eye(d))
         # the points removed: what is left of cameras and focal length
         eliminated = inverse[self.observations.point] @ self.between
         through, back = self._matrix(eliminated), self._matrix(self.between).T
@@ -234,7 +221,7 @@ class _NormalEquations:
             self.camera_gradient.ravel() - through @ self.point_gradient.ravel(),
             self.focal_gradient - (focal_eliminated * self.point_gradient).sum(),
         )
-        if n <= SOLVER.few_cameras:
+        if n <= _FEW_CAMERAS:
             move = reduced.solve(-gradient)
         else:
             explained = _grams(eliminated, self.between, self.observations.starts(n))
@@ -254,7 +241,7 @@ class _NormalEquations:
         """Blocks (m, d, 6) of points and cameras as a matrix (6 n, d p); dense if there are few cameras."""
         (camera, point, _), n, (p, d) = self.observations, len(self.cameras), self.focal_points.shape
         blocks = np.swapaxes(blocks, 1, 2)
-        if n > SOLVER.few_cameras:
+        if n > _FEW_CAMERAS:
             return sparse.bsr_array((blocks, point, self.observations.starts(n)), shape=(6 * n, d * p)).tocsr()
         dense = np.zeros((n, 6, p, d))
         dense[camera, :, point] = blocks
@@ -298,7 +285,7 @@ class _Reduced:
         operator, preconditioner = (
             LinearOperator((len(right), len(right)), work, dtype=np.float64) for work in (product, precondition)
         )
-        move, _ = cg(operator, right, rtol=SOLVER.cg_tolerance, maxiter=SOLVER.cg_iterations, M=preconditioner)
+        move, _ = cg(operator, right, rtol=_CG_TOLERANCE, maxiter=_CG_ITERATIONS, M=preconditioner)
         return np.asarray(move)
 
 

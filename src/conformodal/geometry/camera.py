@@ -8,21 +8,14 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray
 
-from .rotations import PoseError
+from .poses import PoseError
 
 NO_FLOW = np.zeros((2, 3))
 
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """Intrinsics in pixels, for images of `width` x `height`; (cx, cy) is the principal point.
-
-    Attributes
-    ----------
-    distortion
-        Radial and tangential, (k1, k2, p1, p2) or (k1, k2, p1, p2, k3) in the order of OpenCV and of EuRoC; empty for
-        a lens without.
-    """
+    """Intrinsics in pixels, for images of `width` x `height`; (cx, cy) is the principal point."""
 
     fx: float
     fy: float
@@ -30,6 +23,7 @@ class PinholeCamera:
     cy: float
     width: int
     height: int
+    # radial and tangential, (k1, k2, p1, p2) or (k1, k2, p1, p2, k3) as in OpenCV and EuRoC; empty for a lens without
     distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:

@@ -25,18 +25,10 @@ _OUTSIDE = 1.05  # of the widest ray of a lens: beyond, it may fold into the ima
 
 @dataclass(frozen=True)
 class Fisheye:
-    """A fisheye lens, and the pinhole camera that its images are undistorted to.
+    """A fisheye lens, and the pinhole camera that its images are undistorted to."""
 
-    Attributes
-    ----------
-    pinhole
-        Of the same size, focal lengths and principal point.
-    coefficients
-        k1, k2, k3, k4.
-    """
-
-    pinhole: PinholeCamera
-    coefficients: tuple[float, float, float, float]
+    pinhole: PinholeCamera  # of the same size, focal lengths and principal point
+    coefficients: tuple[float, float, float, float]  # k1, k2, k3, k4
 
     def radius(self, angle_rad: FloatArray) -> FloatArray:
         """Where rays (n,) at an angle from the axis fall, in focal lengths from the principal point."""

@@ -1,7 +1,12 @@
-"""Poses of keyframes and focal length of a map, adjusted near the given ones.
+"""The camera and the poses of a map's keyframes, fitted to the matches between its images.
 
-Given poses have clock offsets, warps and noise of their own, which blur a map that believes them. Priors hold the
-adjusted poses near the given ones, moved by the camera's mount; the standard deviations are learnt from the data.
+The poses of a data set are often those of another sensor (7-Scenes gives the depth camera's), and its focal length is
+nominal; both distort a map. Matches between frames must lie on epipolar lines, which determines nine unknowns of the
+camera: focal length, mount and shutter. Rows that are read one after the other bend the picture of a moving camera, and
+clocks differ.
+
+Given poses have clock offsets, warps and noise of their own, too. Priors hold the adjusted poses near the given ones,
+moved by the camera's mount; the standard deviations are learnt from the data.
 """
 
 from __future__ import annotations
@@ -11,35 +16,98 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
-from .adjustment import POSITIONS, Adjustment, Bundle, Observations, PosePriors
-from .camera_fit import Mounted
-from .robust import MAD_OF_NORMAL
-from .rotations import rigid_motions
+from .adjustment import MAD_OF_NORMAL, POSITIONS, Adjustment, Bundle, Observations, PosePriors
+from .camera import PinholeCamera
+from .poses import rigid_motions
 from .triangulation import Points, Rays
 
+_NO_DELAY = np.zeros(2)
+_MOST, _LEAST = 10000, 400  # matches: half are fitted, half check the fit
+_SCALE_PX = 1.5  # of the Cauchy loss
+# prior standard deviations: of the logarithm of the focal length, of the mount's angles and of its position in scene
+# depths, and of the shutter's delays
+_SIGMA_LOG_FOCAL, _SIGMA_MOUNT_RAD, _SIGMA_MOUNT_DEPTHS, _SIGMA_S = 0.2, 0.05, 0.05, 0.02
+_MOST_SIGMAS = 3.0  # further off, the poses do not belong to the images
 
-@dataclass(frozen=True)
-class _MapPosesSettings:
-    """Adjustment of a map's poses."""
-
-    rounds: int = 2  # of triangulation and adjustment; sigmas and mount are learnt after each
-    iterations: int = 8
-    enough: float = 3e-3  # share of the cost below which an iteration ends it
-    tracks: int = 80  # of each frame, the longest first
-    least_views: int = 3
-    least_per_frame: float = 20.0  # observations, on average: with fewer, poses stay as given
-    # standard deviations of the given poses at first, and how far they may fall
-    sigma_rad: float = float(np.radians(1.0))
-    sigma_depths: float = 0.01
-    least_sigma: float = 0.05
-    sigma_focal: float = 0.02  # of the logarithm of the focal length
+ROUNDS = 2  # of triangulation and adjustment; sigmas and mount are learnt after each
+LEAST_PER_FRAME = 20.0  # observations, on average: with fewer, poses stay as given
+# standard deviations of the given poses at first, and the share to which a round may lower them
+SIGMA_RAD, SIGMA_DEPTHS, _LEAST_SIGMA = float(np.radians(1.0)), 0.01, 0.05
+_SIGMA_ADJUSTED_FOCAL = 0.02  # of the logarithm of the focal length
+_ITERATIONS, _ENOUGH = 8, 3e-3  # of one adjustment, and the share of the cost below which an iteration ends it
+_TRACKS, _LEAST_VIEWS = 80, 3  # of each frame, the longest first
 
 
-MAP_POSES = _MapPosesSettings()
+class Matches(NamedTuple):
+    """Corners seen by two frames."""
+
+    frames: IntArray  # (m, 2)
+    pixels: FloatArray  # (m, 2, 2) undistorted, in the one and in the other
+    flows: FloatArray  # (m, 2, 2) of the same, pixels per second
+
+
+class Mounted(NamedTuple):
+    """A camera without distortion, and ``T_pose_cam`` (4, 4) from its frame to the one whose poses are given."""
+
+    camera: PinholeCamera
+    T_pose_cam: FloatArray
+    shutter: FloatArray = _NO_DELAY  # (2,), see PinholeCamera.at_pose_time
+
+
+def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, depth_m: float) -> Mounted:
+    """The camera with the smallest epipolar errors of matches, by robust least squares.
+
+    It is fitted to half of the matches. Where it does not reduce the errors of the other half, or is far from the given
+    one, the given one is returned. Delays that are out of range are left out, and the rest is judged without them.
+    """
+    given = Mounted(replace(camera, distortion=()), np.eye(4))
+    if len(matches.frames) < _LEAST:
+        return given
+    order = np.random.default_rng(0).permutation(len(matches.frames))[:_MOST]
+    fitted, checked = (
+        Matches(matches.frames[half], matches.pixels[half], matches.flows[half]) for half in np.array_split(order, 2)
+    )
+    mount_m = _SIGMA_MOUNT_DEPTHS * depth_m
+    sigmas = _SIGMA_LOG_FOCAL, _SIGMA_MOUNT_RAD, mount_m, _SIGMA_S
+    spreads = np.repeat(sigmas, (1, 3, 3, 2))
+
+    def residuals(unknowns: FloatArray) -> FloatArray:
+        errors = _epipolar_errors_px(_mounted(given, unknowns * spreads), fitted, poses_se3)
+        return np.concatenate((errors / _SCALE_PX, unknowns))
+
+    unknowns = least_squares(residuals, np.zeros(9), loss="cauchy", max_nfev=30).x
+    if np.abs(unknowns[7:]).max() >= _MOST_SIGMAS:
+        unknowns[7:] = 0
+    better = _mounted(given, unknowns * spreads)
+    before, after = (float(np.median(np.abs(_epipolar_errors_px(m, checked, poses_se3)))) for m in (given, better))
+    return better if after < before and np.abs(unknowns).max() < _MOST_SIGMAS else given
+
+
+def _mounted(given: Mounted, unknowns: FloatArray) -> Mounted:
+    factor = float(np.exp(unknowns[0]))
+    T_pose_cam = rigid_motions(Rotation.from_rotvec(unknowns[1:4]).as_matrix(), unknowns[4:7])
+    camera = given.camera
+    return Mounted(replace(camera, fx=camera.fx * factor, fy=camera.fy * factor), T_pose_cam, unknowns[7:])
+
+
+def _epipolar_errors_px(mounted: Mounted, matches: Matches, poses_se3: FloatArray) -> FloatArray:
+    """Signed first-order distances (m,) from the epipolar constraint, in pixels (Sampson)."""
+    camera = mounted.camera
+    poses = poses_se3 @ mounted.T_pose_cam
+    (Ri, ci), (Rj, cj) = ((poses[f, :3, :3], poses[f, :3, 3]) for f in matches.frames.T)
+    plane = camera.on_plane(camera.at_pose_time(matches.pixels, matches.flows, mounted.shutter))
+    rays = np.concatenate((plane, np.ones((*plane.shape[:2], 1))), axis=2)
+    baseline = np.einsum("mba,mb->ma", Rj, ci - cj)
+    line_j = np.cross(baseline, np.einsum("mba,mbc,mc->ma", Rj, Ri, rays[:, 0]))
+    line_i = np.einsum("mba,mbc,mc->ma", Ri, Rj, np.cross(rays[:, 1], baseline))
+    squares = line_j[:, 0] ** 2 + line_j[:, 1] ** 2 + line_i[:, 0] ** 2 + line_i[:, 1] ** 2
+    distance = (line_j * rays[:, 1]).sum(axis=1) / np.sqrt(np.maximum(squares, 1e-18))
+    return np.asarray(distance * (camera.fx + camera.fy) / 2)
 
 
 class TriangulatedRays(NamedTuple):
@@ -79,10 +147,10 @@ class MapPoses:
             sigma=2 / (camera.fx + camera.fy),
             cauchy=1.0,
             unknown=POSITIONS,
-            iterations=MAP_POSES.iterations,
-            enough=MAP_POSES.enough,
+            iterations=_ITERATIONS,
+            enough=_ENOUGH,
             priors=priors,
-            focal_sigma=MAP_POSES.sigma_focal,
+            focal_sigma=_SIGMA_ADJUSTED_FOCAL,
         )
         points = np.column_stack((tracks.points, np.ones(len(tracks.points))))
         bundle = adjustment.solve(Bundle(self.poses_cam[:, :3, :3], self.poses_cam[:, :3, 3], points)).bundle
@@ -95,7 +163,7 @@ class MapPoses:
         )
         off = np.abs(priors._replace(poses=poses_se3 @ mounted.T_pose_cam).deviations(bundle))
         spread = np.repeat([np.median(off[:, :3]), np.median(off[:, 3:])], 3) / MAD_OF_NORMAL
-        sigmas = np.maximum(spread, MAP_POSES.least_sigma * self.sigmas)
+        sigmas = np.maximum(spread, _LEAST_SIGMA * self.sigmas)
         return replace(self, mounted=mounted, poses_cam=poses_cam, sigmas=sigmas)
 
     def corrections(self, poses_se3: FloatArray) -> FloatArray:
@@ -125,12 +193,12 @@ def choose_tracks(chunks: Sequence[TriangulatedRays], n_frames: int, tolerance: 
     tracks_per_frame = np.zeros(n_frames, int)
     rows: list[IntArray] = []
     order = np.argsort(-counts, kind="stable")
-    order = order[counts[order] >= MAP_POSES.least_views]
+    order = order[counts[order] >= _LEAST_VIEWS]
     for start, end in zip(starts[order].tolist(), (starts + counts)[order].tolist(), strict=True):
         if used[own_number[start]]:
             continue
         unused = np.arange(start, end)[~used[ray_number[start:end]]]
-        if len(unused) >= MAP_POSES.least_views and tracks_per_frame[frame[unused]].min() < MAP_POSES.tracks:
+        if len(unused) >= _LEAST_VIEWS and tracks_per_frame[frame[unused]].min() < _TRACKS:
             used[ray_number[unused]] = True
             tracks_per_frame[frame[unused]] += 1
             rows.append(unused)

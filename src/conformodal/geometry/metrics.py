@@ -1,38 +1,39 @@
-"""Errors of an estimated trajectory against the truth: per frame, per motion, and drift."""
+"""An estimated trajectory against the truth: pairing in time, alignment (Umeyama 1991), errors."""
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.ranges import as_member
 
-from .rotations import PoseError, angle_between_quats
-from .trajectory import Trajectory
+from .poses import PoseError, Trajectory, angle_between_quats
 
 # Matches what common tools use to pair estimated and true timestamps.
 MAX_TIME_DIFFERENCE_S = 0.01
 # Between two poses that one is interpolated from: images of 10 Hz poses are bridged, a lost pose among them is not.
 MAX_GAP_S = 0.15
 _SAME_S = 1e-3  # a pose as near in time is taken as it is
-KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
+# Of the spread along a path, and of the residuals: less across it leaves its roll open.
+_STRAIGHT, _RESIDUALS = 0.02, 3.0
 _SINCE_1970_S = 1e8
 _UNITS = {"nanoseconds": 1e9, "microseconds": 1e6, "milliseconds": 1e3}
 _NO_SECONDS = 1e11  # the year five thousand
-_KITTI_EVERY = 10  # frames between the starts of stretches
 
 
 def position_errors_m(estimate: Trajectory, truth: Trajectory) -> FloatArray:
     """Distance in metres between estimated and true camera centres, (n,)."""
-    check_same_length(estimate, truth)
+    _check_same_length(estimate, truth)
     return np.asarray(np.linalg.norm(estimate.positions_xyz - truth.positions_xyz, axis=1))
 
 
 def orientation_errors_deg(estimate: Trajectory, truth: Trajectory) -> FloatArray:
     """Angle in degrees between estimated and true orientations, (n,)."""
-    check_same_length(estimate, truth)
+    _check_same_length(estimate, truth)
     angles = angle_between_quats(estimate.orientations_quat_wxyz, truth.orientations_quat_wxyz)
     return np.asarray(np.degrees(angles))
 
@@ -160,10 +161,76 @@ def _pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, F
     return position_errors_m(estimate, truth), orientation_errors_deg(estimate, truth)
 
 
-def check_same_length(estimate: Trajectory, truth: Trajectory) -> None:
+def _check_same_length(estimate: Trajectory, truth: Trajectory) -> None:
     """Refuse trajectories that are not paired pose by pose."""
     if len(estimate) != len(truth):
         raise PoseError(f"estimate has {len(estimate)} poses, truth {len(truth)}; pair them first (associate)")
+
+
+class Alignment(StrEnum):
+    """Transformations that may be applied to an estimate before it is compared."""
+
+    NONE = "none"
+    SE3 = "se3"  # rotation and translation
+    SIM3 = "sim3"  # and scale, as for one camera that knows none
+    YAW = "yaw"  # rotation about the world's z axis, for two worlds whose z is up, and translation
+
+
+class Similarity(NamedTuple):
+    """The transformation ``target = scale R source + t``."""
+
+    R: FloatArray  # (3, 3)
+    t: FloatArray  # (3,)
+    scale: float
+
+
+def umeyama(source: FloatArray, target: FloatArray, *, with_scale: bool) -> Similarity:
+    """The similarity of least squared distance between points (n, 3)."""
+    if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 3:
+        raise PoseError(f"alignment needs three or more pairs of points (n, 3), got {source.shape}, {target.shape}")
+    mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
+    centred = source - mean_source
+    covariance = (target - mean_target).T @ centred / len(source)
+    u, d, vt = np.linalg.svd(covariance)
+    if not d[1] > np.finfo(np.float64).eps * max(d[0], np.finfo(np.float64).tiny) * 8:
+        raise PoseError("alignment is undetermined: the positions lie on a line or in one place")
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])  # a rotation, no mirror
+    R = (u * signs) @ vt
+    s = float(d @ signs / np.mean(np.sum(centred**2, axis=1))) if with_scale else 1.0
+    return Similarity(R, mean_target - s * R @ mean_source, s)
+
+
+def align(estimate: Trajectory, truth: Trajectory, how: Alignment | str) -> Trajectory:
+    """The estimate, aligned with the truth, with which it must be paired."""
+    kind = as_member(how, Alignment, "alignment", PoseError)
+    _check_same_length(estimate, truth)
+    if kind is Alignment.NONE:
+        return estimate
+    p, q = estimate.positions_xyz, estimate.orientations_quat_wxyz
+    if kind is Alignment.YAW:
+        means = p.mean(axis=0), truth.positions_xyz.mean(axis=0)
+        (x, y), (u, v) = (p - means[0]).T[:2], (truth.positions_xyz - means[1]).T[:2]
+        R = Rotation.from_euler("z", np.arctan2(x @ v - y @ u, x @ u + y @ v)).as_matrix()
+        t, s = means[1] - R @ means[0], 1.0
+    else:
+        R, t, s = umeyama(p, truth.positions_xyz, with_scale=kind is Alignment.SIM3)
+    turned = Rotation.from_matrix(R) * Rotation.from_quat(q, scalar_first=True)
+    return Trajectory(estimate.timestamps_s, s * p @ R.T + t, turned.as_quat(scalar_first=True))
+
+
+def straightness(truth: Trajectory, residual_m: float = 0.0) -> str:
+    """Why aligning to a path leaves the rotation about it open, or nothing.
+
+    A path that hardly leaves a line fixes two angles; the third is what makes the errors of the positions smallest.
+    `residual_m` is what is left of these errors after alignment, RMS.
+    """
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(truth.positions_xyz.T)), 0))[::-1]
+    if spread[1] > max(_STRAIGHT * spread[0], _RESIDUALS * residual_m):
+        return ""
+    return (
+        f"the path is nearly straight ({spread[0]:.2g} m along, {spread[1]:.2g} m across, RMS): the rotation about it "
+        "is hardly determined, and fitted; where z is up in both worlds, align by yaw"
+    )
 
 
 class MotionErrors(NamedTuple):
@@ -175,51 +242,16 @@ class MotionErrors(NamedTuple):
 
 def relative_errors(estimate: Trajectory, truth: Trajectory, delta: int = 1) -> MotionErrors:
     """Errors of the n - `delta` motions over `delta` frames (Sturm et al. 2012, eq. 2)."""
-    check_same_length(estimate, truth)
+    _check_same_length(estimate, truth)
     if delta < 1 or len(truth) <= delta:
         raise PoseError(
             f"relative errors need delta of at least 1 and more than delta poses, got {delta}, {len(truth)}"
         )
-    starts = np.arange(len(truth) - delta)
-    return _motion_errors(estimate, truth, starts, starts + delta)
-
-
-class Drift(NamedTuple):
-    """Mean drift of stretches of a path."""
-
-    percent: float  # of their length
-    degrees_per_metre: float
-
-
-def kitti_drift(estimate: Trajectory, truth: Trajectory) -> Drift:
-    """KITTI's drift over 100 to 800 m (Geiger et al. 2012).
-
-    Segments start at every tenth frame and end where the true path has the nominal length.
-    """
-    check_same_length(estimate, truth)
-    steps = np.linalg.norm(np.diff(truth.positions_xyz, axis=0), axis=1)
-    along = np.concatenate(([0.0], np.cumsum(steps)))
-    percents, rates = [], []
-    for length in KITTI_LENGTHS_M:
-        starts = np.arange(0, len(truth), _KITTI_EVERY)
-        ends = np.searchsorted(along, along[starts] + length, side="right")  # the first frame beyond
-        inside = ends < len(truth)
-        metres, degrees = _motion_errors(estimate, truth, starts[inside], ends[inside])
-        percents.append(100 * metres / length)
-        rates.append(degrees / length)
-    percent, rate = np.concatenate(percents), np.concatenate(rates)
-    if not percent.size:
-        raise PoseError(f"the true path is {along[-1]:.1f} m long; drift needs stretches of at least 100 m")
-    return Drift(float(percent.mean()), float(rate.mean()))
-
-
-def _motion_errors(estimate: Trajectory, truth: Trajectory, starts: IntArray, ends: IntArray) -> MotionErrors:
-    """Sizes of ``(truth_i^-1 truth_j)^-1 (estimate_i^-1 estimate_j)``."""
     motions = []
     for path in (truth, estimate):
         rotation = Rotation.from_quat(path.orientations_quat_wxyz, scalar_first=True)
-        back = rotation[starts].inv()
-        motions.append((back * rotation[ends], back.apply(path.positions_xyz[ends] - path.positions_xyz[starts])))
+        back = rotation[:-delta].inv()
+        motions.append((back * rotation[delta:], back.apply(path.positions_xyz[delta:] - path.positions_xyz[:-delta])))
     (R_true, t_true), (R, t) = motions
     # turning the difference back into the frame at the end does not change its length
     return MotionErrors(np.linalg.norm(t - t_true, axis=1), np.degrees((R_true.inv() * R).magnitude()))

@@ -9,7 +9,7 @@ import numpy as np
 
 from conformodal.core.arrays import BoolArray
 from conformodal.geometry import PinholeCamera, Trajectory
-from conformodal.geometry.trajectory import concatenate
+from conformodal.geometry.poses import concatenate
 
 from .errors import DatasetError
 from .lenses import as_camera

@@ -18,7 +18,7 @@ import numpy as np
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.geometry import PoseError, Trajectory, rigid_motions
 from conformodal.geometry.metrics import in_seconds
-from conformodal.geometry.rotations import rotation_faults
+from conformodal.geometry.poses import rotation_faults
 
 from .errors import DatasetError
 from .reading import number, numbers_in, parse_lines, read_lines, tokens, whole_number

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray
-from conformodal.geometry.robust import MEDIAN_OF_NORM3, TAIL_OF_NORM3
+from conformodal.geometry.adjustment import MEDIAN_OF_NORM3, TAIL_OF_NORM3
 
 from .settings import ERROR_MODEL
 

@@ -13,7 +13,7 @@ from conformodal.core.parallel import in_threads
 from conformodal.core.words import counted
 from conformodal.geometry import Trajectory, matrix_from_quat_wxyz, rigid_motions
 from conformodal.io import Recording
-from conformodal.tracking.flow import frame_features
+from conformodal.tracking.motions import frame_features
 
 from .settings import OVERLAP
 from .sources.mapping import build_map

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.geometry import RelativeMotion, Submap, matrix_from_quat_wxyz
-from conformodal.geometry.robust import cauchy
+from conformodal.geometry.adjustment import cauchy
 
 from .errors import ReasoningError
 from .observations import Observations, PosePath

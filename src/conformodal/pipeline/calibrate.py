@@ -36,7 +36,7 @@ from conformodal.localizer.region_rules import EvidenceType, RegionRules, part_o
 from conformodal.localizer.regions import pose_scores
 from conformodal.localizer.settings import FILTER
 from conformodal.localizer.sources.registry import SourceData
-from conformodal.tracking.flow import frame_features
+from conformodal.tracking.motions import frame_features
 
 from .config import ModelConfig
 from .errors import OdometryError

@@ -6,7 +6,7 @@ import numpy as np
 
 from conformodal.core.arrays import IntArray, evenly_spread
 from conformodal.geometry import Submap, Trajectory, matrix_from_quat_wxyz
-from conformodal.geometry.robust import MAD_OF_NORMAL
+from conformodal.geometry.adjustment import MAD_OF_NORMAL
 from conformodal.io import Recording
 from conformodal.io.decoding import grey_image
 from conformodal.tracking.submaps import build_submaps

@@ -30,8 +30,7 @@ from conformodal.localizer.prior import MotionPrior
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.localizer.regions import PoseRegions
 from conformodal.localizer.settings import FILTER
-from conformodal.tracking.flow import affine_flow
-from conformodal.tracking.frontend import FrontEnd, MotionFrontEnd
+from conformodal.tracking.tracker import FrontEnd, MotionFrontEnd, affine_flow
 
 from .config import Method
 from .errors import OdometryError

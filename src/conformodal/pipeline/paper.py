@@ -10,7 +10,7 @@ from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.greedy import Greedy
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.localizer.regions import Support, pose_regions
-from conformodal.tracking.frontend import EssentialFrontEnd
+from conformodal.tracking.tracker import EssentialFrontEnd
 
 from .config import Method
 from .errors import OdometryError

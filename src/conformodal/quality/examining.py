@@ -17,7 +17,7 @@ from conformodal.localizer.radius import depth_or_default
 from conformodal.pipeline.depths import measure_depths
 from conformodal.pipeline.identity import identify
 from conformodal.pipeline.model import Localization, PoseModel
-from conformodal.tracking.flow import frame_features
+from conformodal.tracking.motions import frame_features
 
 from .guarantee import EvidenceGuarantee, guarantees
 from .place_ambiguity import Ambiguity, ambiguity

@@ -6,17 +6,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from conformodal.core.arrays import IntArray
+from conformodal.core.arrays import FloatArray, IntArray, UInt8Array
 from conformodal.core.parallel import raise_if_cancelled
 from conformodal.core.progress import StageProgress
 from conformodal.features.local import LocalFeatures, extract_local_features
 from conformodal.geometry import RelativeMotion, Submap
+from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import ImageError, Recording
+from conformodal.io.decoding import grey_image
 
-from .flow import affine_flow
-from .frontend import FrontEnd, MotionFrontEnd
 from .submaps import build_submaps
-from .tracker import Corners
+from .tracker import LONGEST_FLOW_S, Corners, CornerTracker, FrontEnd, MotionFrontEnd, affine_flow
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ def measure_motions(
 ) -> MotionRecord:
     """Relative motions of `frames`, increasing indices in a sequence, followed through all frames between them.
 
-    `front_end` measures them, by default a :class:`~conformodal.tracking.frontend.MotionFrontEnd`. With `local`,
+    `front_end` measures them, by default a :class:`~conformodal.tracking.tracker.MotionFrontEnd`. With `local`,
     submaps are built and local features extracted too.
     """
     answer, times = set(frames.tolist()), sequence.timestamps_s
@@ -83,3 +83,26 @@ def _append_submaps(record: MotionRecord, corners: dict[int, Corners], sequence:
     frames = np.array(list(corners), dtype=np.int64)
     submaps = build_submaps(list(corners.values()), sequence.camera)
     record.submaps.extend(replace(submap, frames=frames[submap.frames]) for submap in submaps)
+
+
+def _flow_of(sequence: Recording, i: int, image: UInt8Array) -> FloatArray:
+    """The flow (2, 3) in a frame of a sequence, its `image`, from the last frame before it that can be read."""
+    for before in range(i - 1, -1, -1):
+        seconds = float(sequence.timestamps_s[i] - sequence.timestamps_s[before])
+        if not 0 < seconds < LONGEST_FLOW_S or sequence.recording[i] != sequence.recording[before]:
+            break
+        tracker = CornerTracker()
+        try:
+            tracker.advance(grey_image(sequence.image(before)))
+        except ImageError:
+            continue
+        tracker.mark()
+        tracker.advance(grey_image(image))
+        return affine_flow(tracker.step, seconds, sequence.camera)
+    return NO_FLOW
+
+
+def frame_features(sequence: Recording, i: int) -> LocalFeatures:
+    """Local features of a frame of a sequence, with its flow."""
+    image = sequence.image(i)
+    return extract_local_features(image, sequence.camera)._replace(flow=_flow_of(sequence, i, image))

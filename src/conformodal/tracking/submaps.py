@@ -15,13 +15,25 @@ import poselib
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.geometry import MotionStatus, PinholeCamera, Submap
-from conformodal.geometry.adjustment import INVERSE_DEPTHS, Adjustment, Bundle, Observations
-from conformodal.geometry.robust import MEDIAN_OF_NORM2
+from conformodal.geometry.adjustment import INVERSE_DEPTHS, MEDIAN_OF_NORM2, Adjustment, Bundle, Observations
 from conformodal.geometry.triangulation import Rays, triangulate
 
 from .relative_pose import estimate_relative_motion
-from .settings import SUBMAPS
 from .tracker import Corners
+
+_MIN_SHARE, _MIN_CORNERS = 0.3, 40  # a submap ends where a smaller share of its corners is left, or fewer
+_MAX_SPAN = 60  # frames
+_MAX_CAMERAS = 9  # the anchor included; frames between these add little
+_MAX_CORNERS = 250  # that are triangulated
+# errors over what the residuals predict (benchmarks/submaps.py): rolling shutter and drift are common to all
+_POSITION_FACTOR, _ROTATION_FACTOR = 4.5, 35.0
+_WORST_SIGMA = 0.5  # predicted standard deviation over the longest distance, above which a submap is dropped
+_SIGMA_PX, _LEAST_RESIDUAL_PX = 0.5, 0.1  # of a corner
+_CAUCHY = 2.8  # sigmas beyond which residuals are down-weighted
+_ITERATIONS, _ENOUGH = 20, 1e-5  # of bundle adjustment, and the relative decrease of the cost that ends it
+_AGREE_PX, _MIN_AGREEING = 2.0, 0.6  # a corner agrees if it is reprojected within this; the share that must
+_RANSAC = {"max_reproj_error": 3.0, "max_iterations": 200, "min_iterations": 10, "seed": 0}
+_REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 0.5}
 
 
 def build_submaps(corners: Sequence[Corners], camera: PinholeCamera) -> list[Submap]:
@@ -47,7 +59,7 @@ def build_submaps(corners: Sequence[Corners], camera: PinholeCamera) -> list[Sub
 def _longest(corners: Sequence[Corners], anchor: int, last: int, camera: PinholeCamera) -> Submap | None:
     """The submap from an anchor to a frame, or to one half as far where that fails, and so on; None if all fail."""
     while last > anchor + 1:
-        frames = np.unique(np.linspace(anchor, last, SUBMAPS.max_cameras).round().astype(np.int64))
+        frames = np.unique(np.linspace(anchor, last, _MAX_CAMERAS).round().astype(np.int64))
         submap = _submap([corners[f] for f in frames], frames, camera)
         if submap is not None:
             return submap
@@ -58,9 +70,9 @@ def _longest(corners: Sequence[Corners], anchor: int, last: int, camera: Pinhole
 def _reach(corners: Sequence[Corners], anchor: int) -> int:
     """The last frame that still sees enough of the anchor's corners."""
     ids = corners[anchor].ids
-    enough = max(SUBMAPS.min_share * len(ids), SUBMAPS.min_corners)
+    enough = max(_MIN_SHARE * len(ids), _MIN_CORNERS)
     last = anchor
-    for t in range(anchor + 1, min(len(corners), anchor + SUBMAPS.max_span)):
+    for t in range(anchor + 1, min(len(corners), anchor + _MAX_SPAN)):
         if np.isin(ids, corners[t].ids, assume_unique=True).sum() < enough:
             break
         last = t
@@ -80,26 +92,26 @@ def _submap(corners: Sequence[Corners], frames: IntArray, camera: PinholeCamera)
     frame, corner = np.nonzero(views.visible)
     fit = Adjustment(
         Observations(frame, corner, camera.on_plane(views.others[frame, corner])),
-        sigma=SUBMAPS.sigma_px * pixel,
-        cauchy=SUBMAPS.cauchy,
+        sigma=_SIGMA_PX * pixel,
+        cauchy=_CAUCHY,
         unknown=INVERSE_DEPTHS,
-        iterations=SUBMAPS.iterations,
-        enough=SUBMAPS.enough,
+        iterations=_ITERATIONS,
+        enough=_ENOUGH,
     ).solve(start)
-    errors = np.linalg.norm(fit.residuals, axis=1) * SUBMAPS.sigma_px * pixel
+    errors = np.linalg.norm(fit.residuals, axis=1) * _SIGMA_PX * pixel
     length = max(float(np.linalg.norm(fit.bundle.centres[-1])), 1e-12)
     inverse_depths = fit.bundle.points[:, 3] * length
     ahead = inverse_depths > 0
-    if min(np.mean(errors < SUBMAPS.agree_px * pixel), np.mean(ahead)) < SUBMAPS.min_agreeing:
+    if min(np.mean(errors < _AGREE_PX * pixel), np.mean(ahead)) < _MIN_AGREEING:
         return None
-    error = max(float(np.median(errors)) / MEDIAN_OF_NORM2, SUBMAPS.least_residual_px * pixel)
+    error = max(float(np.median(errors)) / MEDIAN_OF_NORM2, _LEAST_RESIDUAL_PX * pixel)
     depth = 1 / float(np.median(inverse_depths[ahead]))
     positions = np.concatenate((np.zeros((1, 3)), fit.bundle.centres / length))
-    sigma = SUBMAPS.position_factor * error * depth
-    if sigma > SUBMAPS.worst_sigma * np.linalg.norm(positions, axis=1).max():
+    sigma = _POSITION_FACTOR * error * depth
+    if sigma > _WORST_SIGMA * np.linalg.norm(positions, axis=1).max():
         return None
     rotations = np.concatenate((np.eye(3)[None], fit.bundle.R_world_cam))
-    return Submap(frames, rotations, positions, depth, sigma, SUBMAPS.rotation_factor * error)
+    return Submap(frames, rotations, positions, depth, sigma, _ROTATION_FACTOR * error)
 
 
 class _Views(NamedTuple):
@@ -123,7 +135,7 @@ def _match_views(corners: Sequence[Corners], camera: PinholeCamera) -> _Views:
         _, here, there = np.intersect1d(first.ids, other.ids, assume_unique=True, return_indices=True)
         pixels[k, here], visible[k, here] = other.pixels[there], True
     # the longest tracks are the most informative
-    best = np.sort(np.argsort(-visible.sum(axis=0), kind="stable")[: SUBMAPS.max_corners])
+    best = np.sort(np.argsort(-visible.sum(axis=0), kind="stable")[:_MAX_CORNERS])
     best = best[visible[:, best].any(axis=0)]
     anchor, pixels = first.pixels[best].astype(np.float64), pixels[:, best]
     undistorted = camera.undistort(pixels.reshape(-1, 2)).reshape(pixels.shape)
@@ -136,17 +148,17 @@ def _first_guess(
     """Depths from the first and the last camera, then the cameras between from the depths."""
     rays = np.column_stack((camera.on_plane(views.anchor), np.ones(len(views.anchor))))
     inverse = _inverse_depths(views, R_anchor_last, direction, camera)
-    sound = inverse > SUBMAPS.least_residual_px / camera.fx
-    if sound.sum() < SUBMAPS.min_corners / 2:
+    sound = inverse > _LEAST_RESIDUAL_PX / camera.fx
+    if sound.sum() < _MIN_CORNERS / 2:
         return None
     model = camera.poselib()
     rotations, centres = [], []
     for pixels, visible in zip(views.others[:-1], views.visible[:-1], strict=True):
         use = sound & visible
-        if use.sum() < SUBMAPS.min_corners / 2:
+        if use.sum() < _MIN_CORNERS / 2:
             return None
         points = rays[use] / inverse[use, None]
-        pose, _ = poselib.estimate_absolute_pose(pixels[use], points, model, SUBMAPS.ransac, SUBMAPS.refinement)
+        pose, _ = poselib.estimate_absolute_pose(pixels[use], points, model, _RANSAC, _REFINEMENT)
         rotations.append(np.asarray(pose.R).T)
         centres.append(-rotations[-1] @ np.asarray(pose.t))
     inverse = np.where(sound, inverse, np.median(inverse[sound]))
@@ -168,5 +180,5 @@ def _inverse_depths(views: _Views, R_anchor_last: FloatArray, centre: FloatArray
         centres=np.stack((np.zeros(3), centre)),
     )
     inverse = np.full(len(views.anchor), np.nan)
-    inverse[corners] = 1 / triangulate(rays, SUBMAPS.agree_px / camera.fx).xyz[:, 2]
+    inverse[corners] = 1 / triangulate(rays, _AGREE_PX / camera.fx).xyz[:, 2]
     return inverse

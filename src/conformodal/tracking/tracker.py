@@ -1,13 +1,20 @@
-"""Harris corners followed by pyramidal Lucas-Kanade flow (the paper, section 3)."""
+"""From images to relative motions: Harris corners followed by pyramidal Lucas-Kanade flow (the paper, section 3)."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from functools import reduce
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array
+from conformodal.geometry import MotionStatus, PinholeCamera, RelativeMotion
+from conformodal.geometry.camera import NO_FLOW
+from conformodal.io.decoding import grey_image
+
+from .relative_pose import MIN_TRACKS, TwoViewSolver, estimate_relative_motion, solve_opencv, solve_poselib
 
 _MAX_CORNERS = 500  # tracked at a time
 _RENEW_BELOW = 0.85  # share of these below which new corners are detected
@@ -19,6 +26,13 @@ _WINDOW_PX = 11  # of Lucas-Kanade flow
 _LEVELS, _BACK_LEVELS = 4, 1
 _MAX_BACK_ERROR_PX = 0.7  # largest distance between a corner and itself tracked forth and back
 _UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
+# share of the marked corners below which rotations are chained from here on: the longest tracks drift most
+_REMARK_BELOW = 0.5
+_ESSENTIAL_CORNERS = 5  # that an essential matrix needs
+LONGEST_FLOW_S = 0.2  # between frames: what moved before says little about now
+_LEAST_FLOW_CORNERS = 16
+_FLOW_ITERATIONS = 6
+_LEAST_FLOW_PX = 0.1  # scale of the residuals, at least
 
 
 class Corners(NamedTuple):
@@ -33,16 +47,11 @@ class CornerTracker:
 
     Call :meth:`mark` on a frame to start from, then :meth:`advance` with every later frame; :meth:`pairs` gives the
     marked and current positions of the corners that lived all the way.
-
-    Attributes
-    ----------
-    step
-        Pixels (n, 2) of the corners in the frame before the current one, and the same corners in this one.
-    n_at_mark
-        Corners at the marked frame.
     """
 
+    # pixels (n, 2) of the corners in the frame before the current one, and the same corners in this one
     step: tuple[Float32Array, Float32Array]
+    n_at_mark: int  # corners at the marked frame
 
     def __init__(self) -> None:
         self._n_ever = 0
@@ -111,3 +120,131 @@ class CornerTracker:
             image, count, _QUALITY, spacing, mask=free, useHarrisDetector=True, k=_HARRIS_K
         )
         return np.empty((0, 2), np.float32) if corners is None else np.asarray(corners, np.float32).reshape(-1, 2)
+
+
+def affine_flow(step: tuple[Float32Array, Float32Array], seconds: float, camera: PinholeCamera) -> FloatArray:
+    """Flow (2, 3) in pixels per second, as ``flow @ (x, y, 1)`` at an undistorted pixel, by robust least squares.
+
+    `step` are pixels (n, 2) of the same corners `seconds` ago and now, see :attr:`CornerTracker.step`: those of the
+    usable frame directly before, in training as in a run. Zero, if they are few or that is long ago.
+    """
+    if not 0 < seconds < LONGEST_FLOW_S or len(step[0]) < _LEAST_FLOW_CORNERS:
+        return NO_FLOW
+    before, now = (camera.undistort(pixels.astype(np.float64)) for pixels in step)
+    shifts, rows = now - before, np.column_stack((now, np.ones(len(now))))
+    weights = np.ones((len(now), 1))
+    for _ in range(_FLOW_ITERATIONS):
+        flow, *_ = np.linalg.lstsq(rows * weights, shifts * weights, rcond=None)
+        off = np.linalg.norm(shifts - rows @ flow, axis=1)
+        weights = 1 / np.sqrt(1 + (off / (np.median(off) + _LEAST_FLOW_PX)) ** 2)[:, None]
+    return np.asarray(flow.T / seconds)
+
+
+class FrontEnd(ABC):
+    """Relative motion between frames of one camera.
+
+    :meth:`track_only` tracks through an intermediate frame; :meth:`measure` ends an interval and starts the next.
+    """
+
+    # pixels (m, 2) of the same corners in the last measured frame and in the one before, or a later one where corners
+    # were renewed between; None for the first frame
+    tracks: tuple[FloatArray, FloatArray] | None
+    corners: Corners  # all corners of the last measured frame
+
+    def __init__(self, camera: PinholeCamera) -> None:
+        self.camera = camera
+        self.tracker = CornerTracker()
+        self.tracks, self.corners = None, self.tracker.corners()
+
+    def reset(self) -> None:
+        """Start a new recording."""
+        self.tracker.reset()
+
+    def track_only(self, image: UInt8Array) -> None:
+        """Track corners through a frame (height, width[, 3]) without measuring a motion."""
+        self.tracker.advance(grey_image(image))
+
+    def measure(self, image: UInt8Array) -> RelativeMotion | None:
+        """Motion from the frame measured last to this one; None for the first frame of a recording."""
+        first = not self.tracker.started
+        self.tracker.advance(grey_image(image))
+        self.tracks = None if first else self.tracker.pairs()
+        motion = None if self.tracks is None else self._motion(*self.tracks)
+        self.tracker.mark()
+        self.corners = self.tracker.corners()
+        return motion
+
+    @abstractmethod
+    def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
+        """Motion between the marked frame and the current one, from the pixels (n, 2) of the same corners."""
+
+
+class MotionFrontEnd(FrontEnd):
+    """Relative motions with checks for pure rotation, small steps, planes and repeated pictures.
+
+    If corners had to be renewed within an interval, rotations are chained and the direction, which would need the
+    lengths of the parts, is left out.
+    """
+
+    def __init__(self, camera: PinholeCamera, solver: TwoViewSolver = solve_poselib) -> None:
+        super().__init__(camera)
+        self.solver = solver
+        self._parts: list[RelativeMotion] = []  # from the frame measured last to the mark
+
+    def reset(self) -> None:
+        """As of the class above."""
+        super().reset()
+        self._parts = []
+
+    def track_only(self, image: UInt8Array) -> None:
+        """As of the class above; corners are renewed where most of them are lost."""
+        super().track_only(image)
+        pairs = self.tracker.pairs()
+        if len(pairs[0]) < _REMARK_BELOW * self.tracker.n_at_mark:
+            self._parts.append(self._since_mark(*pairs))
+            self.tracker.mark()
+
+    def measure(self, image: UInt8Array) -> RelativeMotion | None:
+        """As of the class above, but with status ``TOO_FEW`` if the first frame of a recording is blank."""
+        motion = super().measure(image)
+        if motion is None and self.tracker.n_at_mark < MIN_TRACKS:
+            return RelativeMotion(MotionStatus.TOO_FEW, n_tracks=self.tracker.n_at_mark)
+        return motion
+
+    def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
+        parts, self._parts = self._parts, []
+        return _chain(parts, self._since_mark(before, now))
+
+    def _since_mark(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
+        return estimate_relative_motion(before, now, self.camera, self.tracker.n_at_mark, self.solver)
+
+
+def _chain(parts: list[RelativeMotion], last: RelativeMotion) -> RelativeMotion:
+    """The rotation of all motions one after another; the last one where it is alone."""
+    if not parts:
+        return last
+    rotations = [part.R_prev_next for part in (*parts, last) if part.R_prev_next is not None]
+    if len(rotations) <= len(parts):
+        broken = any(not part.reliable for part in parts)
+        status = MotionStatus.LOST if broken else last.status
+        return RelativeMotion(status, n_tracks=last.n_tracks, n_inliers=last.n_inliers)
+    variance = sum(part.rotation_sigma_rad**2 for part in (*parts, last))
+    rotation, sigma = reduce(np.matmul, rotations), float(np.sqrt(variance))
+    return RelativeMotion(MotionStatus.LOW_PARALLAX, rotation, None, last.n_tracks, last.n_inliers, sigma)
+
+
+class EssentialFrontEnd(FrontEnd):
+    """Rotation and direction by OpenCV's essential matrix, as in section 3 of the paper.
+
+    It has none of the checks of :class:`MotionFrontEnd`: it gives a direction whenever it finds a matrix.
+    """
+
+    def _motion(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
+        n = len(before)
+        if n < _ESSENTIAL_CORNERS:
+            return RelativeMotion(MotionStatus.TOO_FEW, n_tracks=n)
+        view = solve_opencv(self.camera.undistort(before), self.camera.undistort(now), self.camera)
+        if view is None:
+            return RelativeMotion(MotionStatus.INCONSISTENT, n_tracks=n)
+        n_inliers = int(view.inliers.sum())
+        return RelativeMotion(MotionStatus.OK, view.R_prev_next, view.direction_prev, n, n_inliers)

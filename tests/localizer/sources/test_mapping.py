@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.core import parallel
 from conformodal.geometry import Trajectory
 from conformodal.geometry.camera import NO_FLOW
-from conformodal.geometry.map_poses import MAP_POSES
+from conformodal.geometry.map_poses import ROUNDS
 from conformodal.localizer.settings import MAPPING, PNP
 from conformodal.localizer.sources import mapping
 from conformodal.localizer.sources.landmarks import LandmarkSource
@@ -86,12 +86,12 @@ def test_a_map_is_adjusted_where_the_given_poses_have_errors_of_their_own(
     given[:, :3, 3] += rng.normal(0, 0.03, (len(given), 3))
     given[:, :3, :3] = given[:, :3, :3] @ Rotation.from_rotvec(rng.normal(0, 0.01, (len(given), 3))).as_matrix()
     images, off = world.local_features(), {}
-    for rounds in (0, MAP_POSES.rounds):
-        monkeypatch.setattr(mapping, "MAP_POSES", replace(MAP_POSES, rounds=rounds))
+    for rounds in (0, ROUNDS):
+        monkeypatch.setattr(mapping, "ROUNDS", rounds)
         landmarks = build_map(images, given, stated_camera, depth_m)
         found = [landmarks.localize(world.see(world.poses_se3[i], seed=700 + i))[0] for i in range(2, 58, 5)]
         off[rounds] = [errors(one, world.poses_se3[i]) for one, i in zip(found, range(2, 58, 5), strict=True)]
-    assert (np.median(off[MAP_POSES.rounds], axis=0) < (0.8, 0.95) * np.median(off[0], axis=0)).all()
+    assert (np.median(off[ROUNDS], axis=0) < (0.8, 0.95) * np.median(off[0], axis=0)).all()
     true = (world.poses_se3 - given)[:, :3, 3]
     assert np.corrcoef(landmarks.corrections[:, :3].ravel(), true.ravel())[0, 1] > 0.6
 

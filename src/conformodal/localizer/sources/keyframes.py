@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array
 from conformodal.features.local import LocalFeatures, match
 from conformodal.geometry import PinholeCamera, cross_matrices, rigid_motions
-from conformodal.geometry.robust import MEDIAN_OF_NORM2
+from conformodal.geometry.adjustment import MEDIAN_OF_NORM2
 from conformodal.localizer.measurement import PoseMeasurement
 from conformodal.localizer.settings import GUIDING, PNP, RETRIEVAL
 
@@ -28,7 +28,7 @@ class LandmarkMap:
     an estimate, which brings it to the given frame; their scatter is part of its standard deviation.
     """
 
-    camera: PinholeCamera  # without distortion; see camera_fit
+    camera: PinholeCamera  # without distortion; see fit_camera
     T_pose_cam: FloatArray  # (4, 4) from the camera's frame to the one whose poses are given
     shutter: FloatArray  # (2,), see PinholeCamera.at_pose_time
     poses_se3: FloatArray  # (n, 4, 4) of the keyframes, as given

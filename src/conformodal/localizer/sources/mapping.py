@@ -12,8 +12,17 @@ from conformodal.core.parallel import in_threads
 from conformodal.core.progress import Progress
 from conformodal.features.local import LocalFeatures, Matcher
 from conformodal.geometry import PinholeCamera
-from conformodal.geometry.camera_fit import Matches, fit_camera
-from conformodal.geometry.map_poses import MAP_POSES, MapPoses, TriangulatedRays, choose_tracks
+from conformodal.geometry.map_poses import (
+    LEAST_PER_FRAME,
+    ROUNDS,
+    SIGMA_DEPTHS,
+    SIGMA_RAD,
+    MapPoses,
+    Matches,
+    TriangulatedRays,
+    choose_tracks,
+    fit_camera,
+)
 from conformodal.geometry.triangulation import Rays, triangulate
 from conformodal.localizer.settings import MAPPING
 
@@ -43,13 +52,13 @@ def build_map(
         points = triangulate(rays, 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
         return TriangulatedRays(rays, points)
 
-    sigmas = np.repeat([MAP_POSES.sigma_rad, MAP_POSES.sigma_depths * depth_m], 3)
+    sigmas = np.repeat([SIGMA_RAD, SIGMA_DEPTHS * depth_m], 3)
     current = MapPoses(mounted, poses_se3 @ mounted.T_pose_cam, sigmas)
-    for _ in range(MAP_POSES.rounds):
+    for _ in range(ROUNDS):
         camera = current.mounted.camera
         parts = in_threads(partial(triangulated, current=current), chunks)
         tracks = choose_tracks(parts, len(features), 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
-        if len(tracks.frame) < MAP_POSES.least_per_frame * len(features):
+        if len(tracks.frame) < LEAST_PER_FRAME * len(features):
             break
         current = current.adjusted(poses_se3, tracks)
     parts = in_threads(partial(triangulated, current=current), chunks)

@@ -28,7 +28,7 @@ from conformodal.io import Recording, SplitKind, held_out_together
 from conformodal.localizer.errors import LocalizationError
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.measurement import PoseMeasurement
-from conformodal.tracking.flow import frame_features
+from conformodal.tracking.motions import frame_features
 
 
 @dataclass(eq=False)
