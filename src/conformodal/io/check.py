@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .cameras import OF_LAYOUT, SCALED, UNDISTORTED
-from .convention import AS_GIVEN, fitting_convention
+from .convention import fit_of_poses
 from .decoding import TURNED
 from .errors import ImageError
 from .frame_table import CONVERTED, INTERPOLATED, SCALED_BITS
@@ -92,11 +92,8 @@ def check_recording(sequence: Recording, progress: Callable[[int, int], None] | 
         if speed.size:
             jumps = (speed > _JUMP * np.median(speed)) & (lengths > _LEAST_JUMP_M)
             add(f"position jumps, more than {_JUMP:g} times as fast as usual, before", (linked[jumps] + 1).tolist())
-        best, shares = fitting_convention(sequence)
-        if best != AS_GIVEN:
-            most, given = 100 * max(shares.values()), 100 * shares[AS_GIVEN]
-            where = f"{most:.0f} % of the matched corners are within 2 px of their epipolar line, as read {given:.0f} %"
-            findings.append(Finding(f"poses fit the images as {best}, and are read as {AS_GIVEN}", 1, where))
+    if sequence.poses is not None and (cause := fit_of_poses(sequence).cause):
+        findings.append(Finding("poses do not fit the images", 1, cause))
     digests, problems = _decode_all(sequence, progress)
     if problems:
         findings.append(Finding("image cannot be read", len(problems), problems[0]))

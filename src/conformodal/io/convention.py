@@ -1,15 +1,16 @@
-"""What matched corners tell of given poses and cameras: the poses' convention, and a focal length that is not known."""
+"""What matched corners tell of given poses and cameras: whether poses fit the images, why not, and a focal length."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from conformodal.core.arrays import FloatArray
-from conformodal.geometry import Trajectory, cross_matrices
+from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.geometry import Trajectory, cross_matrices, poses_at
 from conformodal.geometry.lens import on_plane
 
 from .errors import DatasetError, ImageError
@@ -24,60 +25,154 @@ _Y_DOWN = np.diag([1.0, -1.0, 1.0, 1.0])
 _PAIRS, _PAIRS_FOR_FOCAL, _STEPS, _CORNERS, _LEAST_MATCHES = 32, 128, (1, 2, 4, 8), 300, 200
 _FLOW_PX, _FLOW_FOR_FOCAL_PX = 4.0, 16.0
 _NEAR_PX = 2.0  # from the epipolar line
-_BETTER, _EQUAL = 0.1, 0.02  # share of the matches
+# Shares of the matches near their line. Poses by motion capture, fusion or rendering have 0.89 to 1.00 as they are,
+# 0.27 to 0.66 a tenth of a second late and 0.09 to 0.34 a second late (TUM fr1, 7-Scenes, ICL-NUIM).
+_FITS, _FITS_NOT, _BETTER, _EQUAL = 0.8, 0.5, 0.1, 0.02
+_PEAK = 0.25  # of a shift that fits above the usual one
+_LONGEST_SHIFT_S, _SHIFTS = 10.0, 401
 _FOCALS = np.geomspace(0.3, 6.0, 240)  # of the longer side
 _USUAL_PX, _DRAWS, _LEAST_NEAR, _MOST_UNSURE = 0.5, 200, 0.4, 0.125
 # Standard errors beside those of the draw: of a lens with k1 = 0.1 and a principal point 2 % off, as a share; of turns.
 _NOT_MODELLED, _TURN_DEG = 0.03, 0.05
 
 
-class _Matches(NamedTuple):
-    """Two frames of a recording, and corners (n, 2) of both in pixels."""
+@dataclass(frozen=True, eq=False)
+class _Matches:
+    """Pairs of frames of a recording, and the corners that both show."""
 
-    first: int
-    second: int
-    pixels: FloatArray
-    pixels_second: FloatArray
+    frames: IntArray  # (p, 2)
+    pair: IntArray  # (m,) of each match
+    pixels: FloatArray  # (m, 2, 2) in the first frame and in the second
 
-    def motion(self, poses_se3: FloatArray) -> FloatArray:
-        """``T_second_first`` of the poses (n, 4, 4) of all frames."""
-        return np.asarray(np.linalg.inv(poses_se3[self.second]) @ poses_se3[self.first])
+    def __len__(self) -> int:
+        return len(self.pair)
+
+    def motions(self, poses_se3: FloatArray) -> FloatArray:
+        """``T_second_first`` (p, 4, 4) of the poses (n, 4, 4) of all frames; NaN where a pose is."""
+        first, second = poses_se3[self.frames.T]
+        return np.asarray(np.linalg.inv(second) @ first)
 
 
-def fitting_convention(sequence: Recording) -> tuple[str, dict[str, float]]:
-    """The convention under which matched corners lie on the epipolar lines of the poses, which all frames have.
+@dataclass(frozen=True)
+class PoseFit:
+    """How well poses fit the images.
 
-    Returns
-    -------
-    best
-        Its name; that of the given one where no other is clearly better, or the images do not tell.
-    shares
-        Share of the matches within 2 pixels of their epipolar line, by convention; empty where there are too few.
+    Attributes
+    ----------
+    share
+        Of the matched corners within 2 pixels of their epipolar line, with poses and camera as they are read; NaN
+        where there are too few to tell.
+    cause
+        What is wrong with the poses or the camera, and what to do; empty where nothing is.
     """
-    given = sequence.require_truth().poses_se3
-    back = np.asarray(np.linalg.inv(given), dtype=np.float64)
-    poses = {
-        AS_GIVEN: given,
+
+    share: float
+    cause: str
+
+
+@dataclass(frozen=True)
+class _Change:
+    """A change of poses or camera under which they may fit the images."""
+
+    share: float
+    advice: str
+
+
+def fit_of_poses(recording: Recording) -> PoseFit:
+    """Whether matched corners lie on the epipolar lines of the poses, and what would bring them there.
+
+    Poses that are late or early, another focal length, and another convention are tried in this order: the first wins
+    that is as good as the best of them. A focal length that is only a little off is told as well.
+    """
+    posed = _posed_part(recording)
+    matches = _match_pairs(posed, _FLOW_PX) if len(posed) > 1 else None
+    if matches is None or len(matches) < _LEAST_MATCHES:
+        return PoseFit(float("nan"), "")
+    poses = posed.require_truth().poses_se3
+    plane = _on_plane(posed, matches)
+    fx = posed.camera.fx
+
+    def share_of(path: FloatArray) -> float:
+        return _share_near(matches, matches.motions(path), plane, fx)
+
+    given = share_of(poses)
+    changes = [_best_focal(posed, matches, poses), _best_convention(poses, share_of)]
+    if given < _FITS:
+        changes.insert(0, _best_shift(posed, matches, plane))
+    most = max(change.share for change in changes)
+    near = f"{100 * given:.0f} % of the matched corners are within {_NEAR_PX:g} px of their epipolar line"
+    if most >= max(_FITS_NOT, given + _BETTER):
+        best = next(change for change in changes if change.share > most - _EQUAL)
+        return PoseFit(given, f"{best.advice} (as read, {near}; so, {100 * best.share:.0f} %)")
+    if given >= _FITS_NOT:
+        return PoseFit(given, "")
+    return PoseFit(
+        given,
+        f"{near}, and no more than {100 * most:.0f} % with poses up to {_LONGEST_SHIFT_S:g} s later or earlier, "
+        "another focal length, or another convention: the poses belong to other images, or are very inexact",
+    )
+
+
+def _best_shift(recording: Recording, matches: _Matches, plane: FloatArray) -> _Change:
+    """The poses of another time that fit best."""
+    truth = recording.require_truth()
+    times = truth.timestamps_s
+    step = float(np.median(np.diff(times)))
+    asked = times[matches.frames].ravel()
+    in_order = replace(matches, frames=np.arange(asked.size).reshape(-1, 2))
+
+    def share_at(shift_s: float) -> float:
+        rows = poses_at(truth, asked + shift_s, 5 * step).rows
+        inside = np.isfinite(rows).all(axis=1)
+        path = np.full((asked.size, 4, 4), np.nan)
+        path[inside] = Trajectory(asked[inside], rows[inside, :3], rows[inside, 3:]).poses_se3
+        return _share_near(in_order, in_order.motions(path), plane, recording.camera.fx)
+
+    longest = min(_LONGEST_SHIFT_S, float(np.ptp(times)) / 2)
+    shifts = np.linspace(-longest, longest, _SHIFTS)
+    coarse = [share_at(shift) for shift in shifts]
+    best = shifts[np.argmax(coarse)]
+    closer = best + np.linspace(-1, 1, 21) * (shifts[1] - shifts[0])
+    shares = [share_at(shift) for shift in closer]
+    best, share = float(closer[np.argmax(shares)]), max(shares)
+    if share < np.median(coarse) + _PEAK:  # the best of many by chance
+        share = 0.0
+    side = "late" if best > 0 else "early"
+    return _Change(
+        share,
+        f"poses seem to be {abs(best):.3g} s ({abs(best) / step:.3g} frames) too {side} for the images: shift their "
+        "times, or the lines of the file",
+    )
+
+
+def _best_focal(recording: Recording, matches: _Matches, poses_se3: FloatArray) -> _Change:
+    """The focal length that fits best, or the given one where that is hardly worse."""
+    camera, motions = recording.camera, matches.motions(poses_se3)
+    focals = _FOCALS[::4] * max(camera.width, camera.height)
+    centred = matches.pixels - (camera.cx, camera.cy)
+    shares = [_share_near(matches, motions, centred / focal, focal) for focal in focals]
+    low, high = focals[np.flatnonzero(np.array(shares) > max(shares) - _EQUAL)[[0, -1]]]
+    advice = f"the poses imply a focal length of {low:.0f} to {high:.0f} px where {camera.fx:.0f} px is given"
+    return _Change(max(shares), f"{advice}: check the camera")
+
+
+def _best_convention(poses_se3: FloatArray, share_of: Callable[[FloatArray], float]) -> _Change:
+    """The conventions that fit best; a straight path looks the same under two of them."""
+    back = np.asarray(np.linalg.inv(poses_se3))
+    conventions = {
         "world-to-camera, OpenCV axes": back,
-        "camera-to-world, OpenGL axes": given @ _OPENGL,
+        "camera-to-world, OpenGL axes": poses_se3 @ _OPENGL,
         "world-to-camera, OpenGL axes": back @ _OPENGL,
-        "camera-to-world, left-handed axes with y up (Unity)": _Y_DOWN @ given @ _Y_DOWN,
+        "camera-to-world, left-handed axes with y up (Unity)": _Y_DOWN @ poses_se3 @ _Y_DOWN,
     }
     for order, by in (("wxyz", -1), ("xyzw", 1)):  # a file whose order is the other one
-        poses[f"quaternions {order}"] = rolled = _rolled(given, by)
-        poses[f"quaternions {order}, world-to-camera"] = np.asarray(np.linalg.inv(rolled))
-        poses[f"quaternions {order}, as COLMAP's world-to-camera"] = np.asarray(np.linalg.inv(_rolled(back, by)))
-    near: dict[str, list[FloatArray]] = {name: [] for name in poses}
-    for match in _pairs(sequence, _FLOW_PX):
-        a, b = (on_plane(sequence.camera, pixels) for pixels in (match.pixels, match.pixels_second))
-        for name, path in poses.items():
-            near[name].append(_epipolar_px(match.motion(path), a, b, sequence.camera.fx))
-    if sum(len(errors) for errors in near[AS_GIVEN]) < _LEAST_MATCHES:
-        return AS_GIVEN, {}
-    shares = {name: float(np.mean(np.concatenate(errors) < _NEAR_PX)) for name, errors in near.items()}
-    most = max(shares.values())  # a straight path looks the same under two of them
-    best = " or ".join(name for name, share in shares.items() if share > most - _EQUAL)
-    return best if most > shares[AS_GIVEN] + _BETTER else AS_GIVEN, shares
+        conventions[f"quaternions {order}"] = rolled = _rolled(poses_se3, by)
+        conventions[f"quaternions {order}, world-to-camera"] = np.asarray(np.linalg.inv(rolled))
+        conventions[f"quaternions {order}, as COLMAP's world-to-camera"] = np.asarray(np.linalg.inv(_rolled(back, by)))
+    shares = {name: share_of(path) for name, path in conventions.items()}
+    most = max(shares.values())
+    names = " or ".join(name for name, share in shares.items() if share > most - _EQUAL)
+    return _Change(most, f"poses fit the images as {names}, and are read as {AS_GIVEN}")
 
 
 def with_fitted_focal(sequence: Recording) -> Recording:
@@ -91,24 +186,23 @@ def with_fitted_focal(sequence: Recording) -> Recording:
     """
     if sequence.truth is None:
         raise DatasetError(f"{sequence.name}: a focal length is fitted to poses, and not all frames have one")
-    camera, poses = sequence.camera, sequence.truth.poses_se3
-    focals, centre = _FOCALS * max(camera.width, camera.height), (camera.cx, camera.cy)
-    costs, near, turns_deg, n_matches = [], [], [], 0
-    for match in _pairs(sequence, _FLOW_FOR_FOCAL_PX, _PAIRS_FOR_FOCAL):
-        motion = match.motion(poses)
-        turns_deg.append(np.degrees(np.arccos(np.clip(np.trace(motion[:3, :3]) / 2 - 0.5, -1, 1))))
-        a, b = match.pixels - centre, match.pixels_second - centre
-        errors = np.array([_epipolar_px(motion, a / f, b / f, f) for f in focals])
-        costs.append(np.log1p((errors / _USUAL_PX) ** 2).sum(axis=1))  # errors of poses are no Gaussian noise
-        near.append((errors < _NEAR_PX).sum(axis=1))
-        n_matches += len(a)
-    if n_matches < _LEAST_MATCHES:
-        raise DatasetError(f"{sequence.name}: {n_matches} matched corners tell no focal length, expected more")
-    best = int(np.argmin(np.sum(costs, axis=0)))
-    share = float(np.sum(near, axis=0)[best] / n_matches)
-    drawn = np.random.default_rng(0).multinomial(len(costs), np.full(len(costs), 1 / len(costs)), size=_DRAWS)
-    drawn_again = float(np.std(np.log(focals[np.argmin(drawn @ np.array(costs), axis=1)])))
-    turn_deg = float(np.median(turns_deg))
+    camera = sequence.camera
+    focals = _FOCALS * max(camera.width, camera.height)
+    matches = _match_pairs(sequence, _FLOW_FOR_FOCAL_PX, _PAIRS_FOR_FOCAL)
+    if matches is None or len(matches) < _LEAST_MATCHES:
+        n = 0 if matches is None else len(matches)
+        raise DatasetError(f"{sequence.name}: {n} matched corners tell no focal length, expected more")
+    motions, centred = matches.motions(sequence.truth.poses_se3), matches.pixels - (camera.cx, camera.cy)
+    errors = np.array([_epipolar_px(matches, motions, centred / f, f) for f in focals])
+    costs = np.log1p((errors / _USUAL_PX) ** 2)  # errors of poses are no Gaussian noise
+    by_pair = np.array([np.bincount(matches.pair, weights=row) for row in costs])
+    best = int(np.argmin(by_pair.sum(axis=1)))
+    share = float(np.mean(errors[best] < _NEAR_PX))
+    n_pairs = len(motions)
+    drawn = np.random.default_rng(0).multinomial(n_pairs, np.full(n_pairs, 1 / n_pairs), size=_DRAWS)
+    drawn_again = float(np.std(np.log(focals[np.argmin(drawn @ by_pair.T, axis=1)])))
+    turns = np.arccos(np.clip(np.trace(motions[:, :3, :3], axis1=1, axis2=2) / 2 - 0.5, -1, 1))
+    turn_deg = float(np.median(np.degrees(turns)))
     spread = float(np.linalg.norm((drawn_again, _NOT_MODELLED, _TURN_DEG / max(turn_deg, 1e-3))))
     low, high = focals[best] * np.exp([-2 * spread, 2 * spread])
     fit = f"{focals[best]:.0f} pixels, between {low:.0f} and {high:.0f} (95 %)"
@@ -118,9 +212,23 @@ def with_fitted_focal(sequence: Recording) -> Recording:
             f"matched corners fit it, and the camera turns by {turn_deg:.2g} degrees while they move by "
             f"{_FLOW_FOR_FOCAL_PX:g} pixels. Write camera-intrinsics.txt"
         )
-    where = f"{sequence.name}: {fit}, from poses and {n_matches} matched corners; without distortion"
+    where = f"{sequence.name}: {fit}, from poses and {len(matches)} matched corners; without distortion"
     fitted = replace(camera, fx=float(focals[best]), fy=float(focals[best]))
     return replace(sequence, camera=fitted, notes=(*sequence.notes, Note(FITTED, where)))
+
+
+def _posed_part(recording: Recording) -> Recording:
+    """The frames that have a pose."""
+    at = recording.posed
+    if len(at) == len(recording) or not len(at):
+        return recording
+    return replace(
+        recording,
+        image_paths=tuple(recording.image_paths[i] for i in at),
+        timestamps_s=recording.timestamps_s[at],
+        recording=recording.recording[at],
+        given_test=None,
+    )
 
 
 def _rolled(poses: FloatArray, by: int) -> FloatArray:
@@ -130,37 +238,62 @@ def _rolled(poses: FloatArray, by: int) -> FloatArray:
     return Trajectory(times, rows[:, :3], np.roll(rows[:, 3:], by, axis=1)).poses_se3
 
 
-def _pairs(sequence: Recording, least_flow_px: float, most: int = _PAIRS) -> list[_Matches]:
-    """Matches of frames, evenly spread, with a later one."""
-    firsts = np.unique(np.linspace(0, len(sequence) - 2, most).astype(int)).tolist()
-    pairs = (_matches(sequence, first, least_flow_px) for first in firsts if first >= 0)
-    return [match for match in pairs if match is not None]
+def _match_pairs(recording: Recording, least_flow_px: float, most: int = _PAIRS) -> _Matches | None:
+    """Matches of frames, evenly spread, with a later one; None where no frame moves."""
+    frames, pixels = [], []
+    for first in np.unique(np.linspace(0, len(recording) - 2, most).astype(int)).tolist():
+        matched = _match_later_frame(recording, first, least_flow_px)
+        if matched is not None:
+            frames.append((first, first + matched.step))
+            pixels.append(matched.pixels)
+    if not frames:
+        return None
+    pair = np.repeat(np.arange(len(frames)), [len(part) for part in pixels])
+    return _Matches(np.array(frames), pair, np.concatenate(pixels))
 
 
-def _matches(sequence: Recording, first: int, least_flow_px: float) -> _Matches | None:
-    """A frame and a later one of the same recording; None where nothing moves."""
+class _LaterFrame(NamedTuple):
+    step: int  # frames
+    pixels: FloatArray  # (m, 2, 2) corners in both
+
+
+def _match_later_frame(recording: Recording, first: int, least_flow_px: float) -> _LaterFrame | None:
+    """A later frame of the same recording in which corners have moved; None where nothing moves."""
     try:
-        grey = cv2.cvtColor(sequence.image(first), cv2.COLOR_RGB2GRAY)
+        grey = cv2.cvtColor(recording.image(first), cv2.COLOR_RGB2GRAY)
         corners = cv2.goodFeaturesToTrack(grey, _CORNERS, 0.01, 7)
-        for second in (first + step for step in _STEPS):
-            if corners is None or second >= len(sequence) or sequence.recording[second] != sequence.recording[first]:
+        for step in _STEPS:
+            second = first + step
+            if corners is None or second >= len(recording) or recording.recording[second] != recording.recording[first]:
                 return None
-            other = cv2.cvtColor(sequence.image(second), cv2.COLOR_RGB2GRAY)
+            other = cv2.cvtColor(recording.image(second), cv2.COLOR_RGB2GRAY)
             tracked, there, _ = cv2.calcOpticalFlowPyrLK(grey, other, corners, None)  # type: ignore[call-overload]
             again, back, _ = cv2.calcOpticalFlowPyrLK(other, grey, tracked, None)  # type: ignore[call-overload]
             kept = (there & back).ravel().astype(bool) & (np.linalg.norm(again - corners, axis=2).ravel() < 1)
-            a, b = corners[kept, 0].astype(np.float64), tracked[kept, 0].astype(np.float64)
-            if len(a) and np.median(np.linalg.norm(a - b, axis=1)) >= least_flow_px:
-                return _Matches(first, second, a, b)
+            pixels = np.stack((corners[kept, 0], tracked[kept, 0]), axis=1).astype(np.float64)
+            if len(pixels) and np.median(np.linalg.norm(pixels[:, 0] - pixels[:, 1], axis=1)) >= least_flow_px:
+                return _LaterFrame(step, pixels)
     except ImageError:
         pass
     return None
 
 
-def _epipolar_px(T_second_first: FloatArray, a: FloatArray, b: FloatArray, focal_px: float) -> FloatArray:
-    """Sampson distances, in pixels, of points (n, 2) on the planes at depth 1 of two frames."""
-    E = cross_matrices(T_second_first[:3, 3]) @ T_second_first[:3, :3]
-    a, b = (np.column_stack((points, np.ones(len(points)))) for points in (a, b))
-    lines, back = a @ E.T, b @ E
+def _on_plane(recording: Recording, matches: _Matches) -> FloatArray:
+    """Where rays through matched corners (m, 2, 2) meet the planes at depth 1."""
+    return on_plane(recording.camera, matches.pixels.reshape(-1, 2)).reshape(-1, 2, 2)
+
+
+def _share_near(matches: _Matches, motions: FloatArray, plane: FloatArray, focal_px: float) -> float:
+    """Share of the matches near their epipolar line; 0 where most of the pairs have no poses."""
+    errors = _epipolar_px(matches, motions, plane, focal_px)
+    compared = np.isfinite(errors)
+    return float(np.mean(errors[compared] < _NEAR_PX)) if compared.mean() > 0.5 else 0.0
+
+
+def _epipolar_px(matches: _Matches, motions: FloatArray, plane: FloatArray, focal_px: float) -> FloatArray:
+    """Sampson distances (m,), in pixels, of points (m, 2, 2) on the planes at depth 1 of two frames."""
+    E = (cross_matrices(motions[:, :3, 3]) @ motions[:, :3, :3])[matches.pair]
+    a, b = np.moveaxis(np.concatenate((plane, np.ones((len(plane), 2, 1))), axis=2), 1, 0)
+    lines, back = np.einsum("mij,mj->mi", E, a), np.einsum("mij,mi->mj", E, b)
     norm = np.linalg.norm(np.column_stack((lines[:, :2], back[:, :2])), axis=1)
     return np.asarray(focal_px * np.abs(np.sum(b * lines, axis=1)) / np.maximum(norm, 1e-12))
