@@ -1,0 +1,88 @@
+"""Doubts about a truth, told from an estimate that has noise and some wrong places."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from conformodal.geometry import Trajectory
+from conformodal.geometry.doubts import doubt_clock, doubt_truth
+
+RATE_HZ, N = 10, 600
+MOUNT = Rotation.from_euler("xyz", [-90, 0, 90], degrees=True)
+
+
+@pytest.fixture
+def truth():
+    rng = np.random.default_rng(0)
+    positions = np.cumsum(gaussian_filter1d(rng.normal(size=(N, 3)), 8, axis=0), axis=0)
+    turns = np.cumsum(gaussian_filter1d(rng.normal(size=(N, 3)), 8, axis=0), axis=0)
+    return Trajectory(np.arange(N) / RATE_HZ, positions, Rotation.from_rotvec(turns).as_quat(scalar_first=True))
+
+
+@pytest.fixture
+def estimate(truth):
+    rng = np.random.default_rng(1)
+    positions = truth.positions_xyz + rng.normal(scale=0.003, size=(N, 3))
+    positions[rng.permutation(N)[: N // 20]] += 4.0
+    noise = Rotation.from_rotvec(rng.normal(scale=0.01, size=(N, 3)))
+    turned = Rotation.from_quat(truth.orientations_quat_wxyz, scalar_first=True) * noise
+    return Trajectory(truth.timestamps_s, positions, turned.as_quat(scalar_first=True))
+
+
+def turned(path, left=None, right=None, lever=(0, 0, 0)):
+    """Another body's poses, of axes `right`, or poses in another world, of axes `left`."""
+    rotation = Rotation.from_quat(path.orientations_quat_wxyz, scalar_first=True)
+    positions = path.positions_xyz + rotation.apply(lever)
+    if left is not None:
+        positions, rotation = left.apply(positions), left * rotation
+    rotation = rotation if right is None else rotation * right
+    return Trajectory(path.timestamps_s, positions, rotation.as_quat(scalar_first=True))
+
+
+def test_a_sound_truth_is_not_doubted(estimate, truth):
+    assert doubt_truth(estimate, truth).reasons == ()
+    assert doubt_clock(estimate, truth) == ""
+    assert doubt_clock(estimate, truth[::3]) == ""  # a truth of a lower rate
+
+
+@pytest.mark.parametrize("quat", [[1, 0, 0, 0], [0.5, 0.5, 0.5, 0.5]])
+def test_constant_orientations_are_none(estimate, truth, quat):
+    doubts = doubt_truth(estimate, replace(truth, orientations_quat_wxyz=np.tile(quat, (N, 1))))
+    assert doubts.positions_only
+    assert "all the same" in doubts.reasons[0]
+
+
+def test_a_camera_that_does_not_turn_has_constant_orientations(estimate, truth):
+    still = np.tile([1.0, 0, 0, 0], (N, 1))
+    both = [replace(path, orientations_quat_wxyz=still) for path in (estimate, truth)]
+    assert not doubt_truth(*both).positions_only
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        (lambda t: replace(t, orientations_quat_wxyz=np.roll(t.orientations_quat_wxyz, 1, axis=1)), "order w x y z"),
+        (lambda t: replace(t, orientations_quat_wxyz=np.roll(t.orientations_quat_wxyz, -1, axis=1)), "order x y z w"),
+        (lambda t: turned(t, right=MOUNT), "120 degrees in the frame of the camera"),
+        (lambda t: turned(t, left=MOUNT), "120 degrees in the frame of the world"),
+        (lambda t: turned(t, lever=(0.11, 0, 0)), "constant 0.11 m from the estimate, in the frame of the camera"),
+        (
+            lambda t: replace(t, positions_xyz=t.positions_xyz + np.array([3, 4, 0])),
+            "constant 5 m from the estimate, in the fra",
+        ),
+    ],
+)
+def test_the_cause_of_a_wrong_truth_is_told(estimate, truth, changed, told):
+    doubts = doubt_truth(estimate, changed(truth))
+    assert any(told in reason for reason in doubts.reasons)
+    assert not doubts.positions_only
+
+
+@pytest.mark.parametrize("shift_s", [18.0, -1.0, 37.3])
+def test_a_clock_that_is_ahead_is_told_with_the_shift(estimate, truth, shift_s):
+    told = doubt_clock(estimate, replace(truth, timestamps_s=truth.timestamps_s + shift_s))
+    assert f"{abs(shift_s):.3g} s {'ahead' if shift_s > 0 else 'behind'}" in told
+    assert f"--time-offset {-shift_s:.3g}" in told
