@@ -44,7 +44,7 @@ from joblib import Parallel, delayed
 from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.files import default_cache_dir
-from conformodal.corridor.writer import write_corridor
+from conformodal.corridor import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory, trajectory_errors

@@ -12,7 +12,7 @@ import numpy as np
 from common import DATA, REDKITCHEN, parser_of, write_table
 from scipy.spatial.transform import Rotation
 
-from conformodal.corridor.writer import write_corridor
+from conformodal.corridor import write_corridor
 from conformodal.geometry import RelativeMotion, Trajectory
 from conformodal.io import Recording, read_recording
 from conformodal.tracking.relative_pose import TwoViewSolver, solve_opencv, solve_poselib

@@ -13,7 +13,7 @@ from common import REDKITCHEN, parser_of, write_table
 from relative_motion import read_kitti
 from scipy.spatial.transform import Rotation
 
-from conformodal.corridor.writer import write_corridor
+from conformodal.corridor import write_corridor
 from conformodal.io import PixelNoise, Recording, read_recording
 from conformodal.io.decoding import grey_image
 from conformodal.tracking.submaps import build_submaps

@@ -27,8 +27,8 @@ from common import (
 from turned_rooms_world import ROOM_X, TurnedRooms, visiting_path
 
 from conformodal.cli.demo import ALPHA, TRAINING
+from conformodal.corridor import write_flight
 from conformodal.corridor.render import Renderer
-from conformodal.corridor.writer import write_flight
 from conformodal.features.extract import FeatureCache
 from conformodal.geometry import Trajectory, angle_between_quats
 from conformodal.io import Recording, read_recording

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from conformodal.corridor.path import Waypoint, fly
+from conformodal.corridor.flight import Waypoint, fly
 from conformodal.corridor.world import (  # fmt: skip
     DOOR_CENTRE,
     DOOR_HEIGHT,

@@ -36,10 +36,7 @@ from PIL import Image
 
 from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
 from conformodal.core.files import default_cache_dir
-from conformodal.corridor.path import drone_path
-from conformodal.corridor.render import Renderer
-from conformodal.corridor.world import CorridorWorld
-from conformodal.corridor.writer import write_corridor, write_flight
+from conformodal.corridor import CorridorWorld, Renderer, drone_path, write_corridor, write_flight
 from conformodal.features.extract import FeatureCache
 from conformodal.io import PixelNoise, Recording, SplitKind, read_image, read_recording
 from conformodal.localizer.settings import NOVELTY

@@ -35,7 +35,7 @@ AREAS = (7000, 8000, 9500)  # between groups
 
 def run_in_corridor(folder: Path) -> tuple[Any, Trajectory]:
     """Fly, train and answer the frames that were held out at random; the run, and the truth."""
-    from conformodal.corridor.writer import write_corridor  # noqa: PLC0415
+    from conformodal.corridor import write_corridor  # noqa: PLC0415
     from conformodal.features.extract import FeatureCache  # noqa: PLC0415
     from conformodal.features.settings import TrainingConfig  # noqa: PLC0415
     from conformodal.io import read_recording  # noqa: PLC0415 - the table needs no camera

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from conformodal.corridor.writer import write_corridor
+from conformodal.corridor import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import read_recording

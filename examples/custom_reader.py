@@ -14,8 +14,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from conformodal.corridor import write_corridor
 from conformodal.corridor.render import CAMERA
-from conformodal.corridor.writer import write_corridor
 from conformodal.io import FrameTable, Reader, read_recording
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from conformodal import PoseModel, VisualOdometry, open_stream, read_recording, train_model
-from conformodal.corridor.writer import write_corridor
+from conformodal.corridor import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.pipeline.config import ModelConfig

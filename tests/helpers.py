@@ -43,10 +43,7 @@ def fill(folder: Path, files) -> None:
 
 def fly(folder: Path, seed: int, frames: slice, noise_seed: int) -> Path:
     """Frames of another flight through the small world."""
-    from conformodal.corridor.path import drone_path
-    from conformodal.corridor.render import Renderer
-    from conformodal.corridor.world import CorridorWorld
-    from conformodal.corridor.writer import write_flight
+    from conformodal.corridor import CorridorWorld, Renderer, drone_path, write_flight
 
     world = CorridorWorld(3, seed=3)
     write_flight(folder, Renderer(world), drone_path(world, 1, seed=seed).poses_se3[frames], noise_seed=noise_seed)

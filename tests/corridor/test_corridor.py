@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 
-from conformodal.corridor.path import drone_path, rotation_world_cam
-from conformodal.corridor.render import CAMERA, Renderer, same_views
+from conformodal.corridor import CAMERA, Renderer, same_views, write_corridor
+from conformodal.corridor.flight import drone_path, rotation_world_cam
 from conformodal.corridor.world import MODULE_LENGTH, CorridorWorld
-from conformodal.corridor.writer import write_corridor
 from conformodal.io import read_recording
 
 
@@ -72,7 +71,7 @@ def test_the_drone_stays_clear_of_walls(renderer):
 
 def test_writing_is_reproducible_and_readable(tmp_path, monkeypatch):
     exact = drone_path(CorridorWorld(2, seed=5), 1, 5)
-    monkeypatch.setattr("conformodal.corridor.writer.drone_path", lambda *flight: drone_path(*flight)[:9])
+    monkeypatch.setattr("conformodal.corridor.flight.drone_path", lambda *flight: drone_path(*flight)[:9])
     told = []
     for name in ("a", "b"):
         write_corridor(tmp_path / name, n_modules=2, n_laps=1, seed=5, progress=lambda *now: told.append(now))

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformodal.corridor.render import Renderer, same_views
+from conformodal.corridor import Renderer, same_views
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from turned_rooms_world import ROOM_X, TurnedRooms, half_turn, visiting_path

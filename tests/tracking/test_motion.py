@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.corridor.path import rotation_world_cam
+from conformodal.corridor.flight import rotation_world_cam
 from conformodal.corridor.render import Renderer
 from conformodal.corridor.world import CorridorWorld
 from conformodal.geometry import MotionStatus, PinholeCamera

@@ -12,10 +12,10 @@ import typer
 
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.words import counted, noun_for
+from conformodal.corridor import write_corridor
 from conformodal.corridor.ambiguity import LookAlikes, count_look_alikes, find_look_alikes
 from conformodal.corridor.render import Renderer
 from conformodal.corridor.world import CorridorWorld
-from conformodal.corridor.writer import write_corridor
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory

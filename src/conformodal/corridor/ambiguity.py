@@ -12,7 +12,11 @@ from conformodal.geometry import Trajectory
 from conformodal.localizer.regions import PoseRegions
 from conformodal.localizer.targets import pose_targets
 
-from .render import Renderer, same_views
+from .render import CAMERA_NOISE_LEVELS, Renderer
+
+# Two views are the same if all but this share of the pixels agree within three spreads of the camera's noise.
+MAX_SHARE_DIFFERENT = 0.001
+MAX_LEVEL_DIFFERENCE = 3 * CAMERA_NOISE_LEVELS
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,3 +54,18 @@ def count_look_alikes(every: list[LookAlikes]) -> dict[str, float]:
     held = np.concatenate([one.held for one in every])
     n_frames = sum(len(one.held) > 0 for one in every)
     return {"n_frames": n_frames, "n_places": len(held), "share_held": float(held.sum() / max(len(held), 1))}
+
+
+def same_views(renderer: Renderer, T_world_cam: FloatArray) -> FloatArray:
+    """Other poses from which the view is the same, (m, 4, 4); the pose itself is not among them.
+
+    Without what is unique in it the building repeats itself, so the only candidates are its repetitions; each is
+    rendered without noise and compared pixel by pixel.
+    """
+    view = renderer.render(T_world_cam).astype(np.int16)
+    alike = []
+    for pose in renderer.world.repetitions(T_world_cam):
+        different = (np.abs(renderer.render(pose).astype(np.int16) - view) > MAX_LEVEL_DIFFERENCE).any(axis=2)
+        if different.mean() <= MAX_SHARE_DIFFERENT:
+            alike.append(pose)
+    return np.array(alike).reshape(-1, 4, 4)

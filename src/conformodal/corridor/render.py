@@ -1,23 +1,51 @@
-"""Ray casting of the corridor world on the CPU: trimesh and Embree find the surface, NumPy shades it."""
+"""Ray casting of the corridor world on the CPU: trimesh and Embree find the surface, NumPy shades it.
+
+Textures are procedural: seeded, metric, rich in corners for a tracker to hold on to.
+"""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array
 from conformodal.geometry import PinholeCamera
 
-from .textures import N_LEVELS, TEXELS_PER_M, make_textures
-from .world import Building
+from .world import DOOR_CENTRE, Building
 
 CAMERA = PinholeCamera(fx=100.0, fy=100.0, cx=79.5, cy=59.5, width=160, height=120)
 # The drone carries the only lamp: beyond some 8 m nothing is seen, so far ends do not give a place away.
 LAMP_RANGE_M = 3.4
 CAMERA_NOISE_LEVELS = 2.0  # standard deviation, in grey levels of 255
-# Two views are the same if all but this share of the pixels agree within three spreads of the camera's noise.
-MAX_SHARE_DIFFERENT = 0.001
-MAX_LEVEL_DIFFERENCE = 3 * CAMERA_NOISE_LEVELS
+TEXELS_PER_M = 64
+N_LEVELS = 5  # of the image pyramid against aliasing; each halves the resolution
+
+
+# material: (width m, height m, base colour 0..1, strength of the speckle)
+MATERIALS: dict[str, tuple[float, float, tuple[float, float, float], float]] = {
+    "hall_floor": (4.0, 2.2, (0.42, 0.40, 0.38), 0.10),
+    "hall_ceiling": (4.0, 2.2, (0.75, 0.75, 0.72), 0.05),
+    "hall_wall": (4.0, 2.6, (0.70, 0.68, 0.58), 0.07),
+    "hall_wall_door": (4.0, 2.6, (0.70, 0.68, 0.58), 0.07),
+    "jamb": (1.2, 2.1, (0.45, 0.30, 0.18), 0.08),
+    "room_floor": (3.5, 3.25, (0.50, 0.36, 0.24), 0.10),
+    "room_ceiling": (3.5, 3.25, (0.70, 0.72, 0.75), 0.05),
+    "room_back": (3.5, 2.6, (0.55, 0.65, 0.72), 0.08),
+    "room_left": (3.25, 2.6, (0.62, 0.66, 0.60), 0.08),
+    "room_right": (3.25, 2.6, (0.66, 0.60, 0.62), 0.08),
+    "room_near": (3.5, 2.6, (0.60, 0.60, 0.55), 0.08),
+    "desk": (1.3, 0.75, (0.55, 0.40, 0.25), 0.10),
+    "shelf": (1.1, 1.7, (0.35, 0.30, 0.40), 0.15),
+    "end_west": (2.2, 2.6, (0.30, 0.50, 0.35), 0.10),
+    "end_east": (2.2, 2.6, (0.60, 0.35, 0.25), 0.10),
+    "poster": (1.3, 1.2, (0.85, 0.80, 0.20), 0.25),
+    "painting": (0.8, 1.0, (0.20, 0.35, 0.75), 0.25),
+    "cabinet": (0.5, 1.1, (0.80, 0.12, 0.10), 0.15),
+}
+_TILED = {"hall_floor": 0.55, "hall_ceiling": 1.0, "room_floor": 0.3, "room_ceiling": 0.9, "end_west": 0.35}
+_STICKERS = {"room_back": 9, "room_left": 6, "room_right": 6, "room_near": 4, "shelf": 14, "desk": 3}
+_STICKERS |= {"hall_wall": 5, "hall_wall_door": 4, "end_east": 8, "poster": 10, "painting": 10, "cabinet": 4}
 
 
 class Renderer:
@@ -87,16 +115,66 @@ class Renderer:
         return np.asarray(bottom * (1 - fy) + top * fy, dtype=np.float32)
 
 
-def same_views(renderer: Renderer, T_world_cam: FloatArray) -> FloatArray:
-    """Other poses from which the view is the same, (m, 4, 4); the pose itself is not among them.
+def make_textures(seed: int) -> dict[str, list[Float32Array]]:
+    """Every material's pyramid: `N_LEVELS` images (h, w, 3) in [0, 1], finest first.
 
-    Without what is unique in it the building repeats itself, so the only candidates are its repetitions; each is
-    rendered without noise and compared pixel by pixel.
+    Row 0 of an image is the bottom of an upright surface.
     """
-    view = renderer.render(T_world_cam).astype(np.int16)
-    alike = []
-    for pose in renderer.world.repetitions(T_world_cam):
-        different = (np.abs(renderer.render(pose).astype(np.int16) - view) > MAX_LEVEL_DIFFERENCE).any(axis=2)
-        if different.mean() <= MAX_SHARE_DIFFERENT:
-            alike.append(pose)
-    return np.array(alike).reshape(-1, 4, 4)
+    rng = np.random.default_rng(seed)
+    return {name: _pyramid(_draw(name, rng)) for name in MATERIALS}
+
+
+def _draw(name: str, rng: np.random.Generator) -> Float32Array:
+    width, height, colour, speckle = MATERIALS[name]
+    h, w = round(height * TEXELS_PER_M), round(width * TEXELS_PER_M)
+    image = np.empty((h, w, 3), dtype=np.float32)
+    image[:] = colour
+    for sigma in (1.0, 3.0, 10.0):
+        noise = gaussian_filter(rng.standard_normal((h, w)), sigma, mode="wrap")
+        image += (speckle / 2 * noise / noise.std())[..., None].astype(np.float32)
+    if name in _TILED:
+        tile = max(4, round(_TILED[name] * TEXELS_PER_M))
+        rows, cols = np.arange(h) // tile, np.arange(w) // tile
+        shade = rng.uniform(-0.1, 0.1, (rows[-1] + 1, cols[-1] + 1)).astype(np.float32)
+        image += shade[rows][:, cols][..., None]
+        image[np.arange(h) % tile < 2] *= 0.6
+        image[:, np.arange(w) % tile < 2] *= 0.6
+    if name.startswith("hall_wall"):
+        image[: round(0.12 * TEXELS_PER_M)] *= 0.5  # skirting
+        image[round(1.0 * TEXELS_PER_M) : round(1.08 * TEXELS_PER_M)] *= (0.6, 0.7, 0.9)
+    if name == "hall_wall_door":
+        _closed_door(image, rng)
+    for _ in range(_STICKERS.get(name, 0)):
+        _sticker(image, rng, largest=0.35 if name not in ("poster", "painting") else 0.5)
+    return np.clip(image, 0.02, 1.0).astype(np.float32)
+
+
+def _closed_door(image: Float32Array, rng: np.random.Generator) -> None:
+    t = TEXELS_PER_M
+    a, b, top = round((DOOR_CENTRE - 0.5) * t), round((DOOR_CENTRE + 0.5) * t), round(2.05 * t)
+    grain = gaussian_filter(rng.standard_normal((top, b - a)), (8, 1)).astype(np.float32)
+    image[:top, a:b] = np.array([0.42, 0.26, 0.14], np.float32) + 0.5 * grain[..., None]
+    image[:top, [a, a + 1, a + 2, b - 3, b - 2, b - 1]] *= 0.4
+    for low, high in ((0.2, 0.9), (1.15, 1.85)):
+        image[round(low * t) : round(high * t), a + 12 : b - 12] *= 0.75
+    image[round(1.0 * t) : round(1.08 * t), b - 12 : b - 4] = (0.9, 0.85, 0.5)  # handle
+
+
+def _sticker(image: Float32Array, rng: np.random.Generator, largest: float) -> None:
+    """A coloured rectangle with a two-tone pattern: a switch, a notice, a book."""
+    h, w = image.shape[:2]
+    sh, sw = (max(4, round(rng.uniform(0.1, largest) * TEXELS_PER_M)) for _ in range(2))
+    sh, sw = min(sh, h - 2), min(sw, w - 2)
+    y, x = int(rng.integers(0, h - sh)), int(rng.integers(0, w - sw))
+    image[y : y + sh, x : x + sw] = rng.uniform(0.05, 1.0, 3)
+    image[y + sh // 3 : y + 2 * sh // 3, x + sw // 4 : x + sw // 2] = rng.uniform(0.05, 1.0, 3)
+
+
+def _pyramid(image: Float32Array) -> list[Float32Array]:
+    levels = [image]
+    for _ in range(N_LEVELS - 1):
+        fine = levels[-1]
+        even = fine[: max(2, fine.shape[0] // 2 * 2), : max(2, fine.shape[1] // 2 * 2)]
+        mean = (even[0::2, 0::2] + even[1::2, 0::2] + even[0::2, 1::2] + even[1::2, 1::2]) / 4
+        levels.append(mean.astype(np.float32))
+    return levels

@@ -39,19 +39,11 @@ class Panel:
 
 
 class Building(ABC):
-    """A world that can be rendered.
+    """A world that can be rendered."""
 
-    Attributes
-    ----------
-    seed
-        Of its textures.
-    panels, mesh
-        What it is made of; panel i is faces 2 i and 2 i + 1 of the mesh.
-    """
-
-    seed: int
+    seed: int  # of its textures
     panels: list[Panel]
-    mesh: trimesh.Trimesh
+    mesh: trimesh.Trimesh  # panel i is faces 2 i and 2 i + 1
 
     @abstractmethod
     def repetitions(self, T_world_cam: FloatArray) -> FloatArray:
@@ -76,9 +68,8 @@ def box(corner: Vector, size: Vector, material: str) -> list[Panel]:
 
 
 def mesh_of(panels: Sequence[Panel]) -> trimesh.Trimesh:
-    """Two triangles a panel."""
-    corner = np.array([p.corner for p in panels])
-    u, v = np.array([p.u for p in panels]), np.array([p.v for p in panels])
+    """Two triangles per panel."""
+    corner, u, v = (np.array([getattr(p, name) for p in panels]) for name in ("corner", "u", "v"))
     vertices = np.stack((corner, corner + u, corner + u + v, corner + v), axis=1).reshape(-1, 3)
     quad = np.array([[0, 1, 2], [0, 2, 3]])
     faces = (quad[None] + 4 * np.arange(len(panels))[:, None, None]).reshape(-1, 3)
@@ -87,19 +78,11 @@ def mesh_of(panels: Sequence[Panel]) -> trimesh.Trimesh:
 
 @dataclass
 class CorridorWorld(Building):
-    """A hallway of `n_modules` identical modules and the landmarks that tell some apart.
-
-    Parameters
-    ----------
-    n_modules, seed
-        Length of the hall, and seed of its textures.
-    rearranged
-        Whether desks and shelves have changed places and the poster is gone, as after furniture was moved.
-    """
+    """A hallway of `n_modules` identical modules and the landmarks that tell some apart."""
 
     n_modules: int = 5
     seed: int = 0
-    rearranged: bool = False
+    rearranged: bool = False  # whether desks and shelves have changed places and the poster is gone
     panels: list[Panel] = field(init=False, repr=False)
     mesh: trimesh.Trimesh = field(init=False, repr=False)
 
@@ -107,8 +90,12 @@ class CorridorWorld(Building):
         if self.n_modules < 2:
             raise DatasetError(f"n_modules must be at least 2, got {self.n_modules}")
         self.panels = [p for k in range(self.n_modules) for p in _module(k * MODULE_LENGTH, self.rearranged)]
+        self.panels += [
+            Panel((0, 0, 0), (0, HALL_WIDTH, 0), (0, 0, HEIGHT), "end_west"),
+            Panel((self.length, 0, 0), (0, HALL_WIDTH, 0), (0, 0, HEIGHT), "end_east"),
+        ]
         landmarks = _landmarks(self.n_modules)
-        self.panels += _ends(self.length) + (landmarks[1:] if self.rearranged else landmarks)
+        self.panels += landmarks[1:] if self.rearranged else landmarks
         self.mesh = mesh_of(self.panels)
 
     @property
@@ -129,7 +116,7 @@ def _module(x: float, rearranged: bool) -> list[Panel]:
     h, w, p = HEIGHT, HALL_WIDTH, MODULE_LENGTH
     left, right = x + DOOR_LEFT, x + DOOR_RIGHT
     opening = right - left
-    panels = [
+    return [
         Panel((x, 0, 0), (p, 0, 0), (0, w, 0), "hall_floor"),
         Panel((x, 0, h), (p, 0, 0), (0, w, 0), "hall_ceiling"),
         Panel((x, 0, 0), (p, 0, 0), (0, 0, h), "hall_wall_door"),
@@ -142,8 +129,8 @@ def _module(x: float, rearranged: bool) -> list[Panel]:
         Panel((right, w, 0), (0, ROOM_NEAR - w, 0), (0, 0, DOOR_HEIGHT), "jamb"),
         Panel((left, w, DOOR_HEIGHT), (opening, 0, 0), (0, ROOM_NEAR - w, 0), "jamb"),
         Panel((left, w, 0), (opening, 0, 0), (0, ROOM_NEAR - w, 0), "jamb"),
+        *room(x, rearranged),
     ]
-    return panels + room(x, rearranged)
 
 
 def room(x: float, rearranged: bool = False) -> list[Panel]:
@@ -165,13 +152,6 @@ def room(x: float, rearranged: bool = False) -> list[Panel]:
         Panel((left, y0, DOOR_HEIGHT), (right - left, 0, 0), (0, 0, h - DOOR_HEIGHT), "room_near", (left - x0, 2.1)),
         *box(desk, (1.3, 0.7, 0.75), "desk"),
         *box(shelf, (0.4, 1.1, 1.7), "shelf"),
-    ]
-
-
-def _ends(length: float) -> list[Panel]:
-    return [
-        Panel((0, 0, 0), (0, HALL_WIDTH, 0), (0, 0, HEIGHT), "end_west"),
-        Panel((length, 0, 0), (0, HALL_WIDTH, 0), (0, 0, HEIGHT), "end_east"),
     ]
 
 

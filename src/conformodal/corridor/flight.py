@@ -1,15 +1,21 @@
-"""Smooth, drone-like paths along the corridor and back, into every room."""
+"""Smooth, drone-like paths along the corridor and back, into every room, and recordings of them on disk."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray
+from conformodal.core.progress import Progress
 from conformodal.geometry import Trajectory, rigid_motions
+from conformodal.io.folders import staged
 
+from .render import Renderer
 from .world import DOOR_CENTRE, HALL_WIDTH, MODULE_LENGTH, ROOM_NEAR, CorridorWorld
 
 FRAME_RATE_HZ = 10.0
@@ -96,3 +102,45 @@ def _wander(n: int, sigma_frames: float, rng: np.random.Generator) -> FloatArray
     """Smooth noise of unit spread."""
     noise = gaussian_filter1d(rng.standard_normal(n), sigma_frames, mode="wrap")
     return np.asarray(noise / noise.std())
+
+
+def write_corridor(
+    folder: Path | str,
+    *,
+    n_modules: int = 5,
+    n_laps: int = 2,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Path:
+    """Fly through the corridor and write ``seq-01/frame-NNNNNN.{color.png,pose.txt}``, intrinsics and frame rate.
+
+    The seed is that of world, path and camera noise. Returns the folder of the recording.
+    """
+    world = CorridorWorld(n_modules, seed=seed)
+    poses = drone_path(world, n_laps, seed).poses_se3
+    return write_flight(Path(folder) / "seq-01", Renderer(world), poses, noise_seed=seed * 1_000_003, progress=progress)
+
+
+def write_flight(
+    recording: Path,
+    renderer: Renderer,
+    poses_se3: FloatArray,
+    *,
+    noise_seed: int = 0,
+    progress: Progress | None = None,
+) -> Path:
+    """Write what the camera sees from `poses_se3` (n, 4, 4) ``T_world_cam`` as a recording; returns its folder.
+
+    Intrinsics and frame rate are written into the folder above, which may hold many recordings. Frame i has camera
+    noise of seed ``noise_seed + i``.
+    """
+    with staged(recording) as part:
+        for i, pose in enumerate(poses_se3):
+            image = Image.fromarray(renderer.render(pose, noise_seed=noise_seed + i))
+            image.save(part / f"frame-{i:06d}.color.png", compress_level=1)
+            np.savetxt(part / f"frame-{i:06d}.pose.txt", pose, fmt="%.12e")
+            if progress is not None:
+                progress(i + 1, len(poses_se3))
+        np.savetxt(recording.parent / "camera-intrinsics.txt", renderer.camera.matrix)
+        (recording.parent / "frame-rate.txt").write_text(f"{FRAME_RATE_HZ:g}\n", encoding="utf-8")
+    return recording
