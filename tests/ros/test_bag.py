@@ -14,7 +14,7 @@ from conformodal.io.streams.opening import open_stream
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.results import read_region_records, read_trajectories
 from conformodal.ros.bag import BagWriter
-from conformodal.ros.conventions import TOPICS, Conventions, RosError
+from conformodal.ros.conversion import TOPICS, Conventions, RosError
 from tests.helpers import run_ok
 
 pytest.importorskip("rosbags")
@@ -121,7 +121,6 @@ def test_lost_frames_and_recordings_apart(make_estimate, tmp_path):
     writer = BagWriter(tmp_path / "deep" / "a.mcap", Conventions(namespace="/robot/camera"))
     for i, kind in enumerate([None, EvidenceType.GLOBAL, EvidenceType.UNKNOWN, None, EvidenceType.LANDMARKS]):
         writer.log(Frame(f"{i}", float(i), None, recording=i // 4), make_estimate(float(i), kind), truth)
-    writer.close()
     writer.close()
     found = read(tmp_path / "deep" / "a.mcap")
     poses = [message.pose for _, message in found["/robot/camera/pose"]]

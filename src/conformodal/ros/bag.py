@@ -15,9 +15,7 @@ from conformodal.geometry import Trajectory
 from conformodal.io.streams.frames import Frame
 from conformodal.pipeline.estimates import Estimate
 
-from .conventions import IMAGE, TOPICS, TRUTH, Conventions, RosError
-from .conversion import Conversion
-from .messages import nanoseconds
+from .conversion import IMAGE, TOPICS, TRUTH, Conventions, Conversion, RosError, nanoseconds
 
 _VERSION = 8  # of the format: Humble reads it too
 _JPEG_QUALITY = 80
@@ -50,12 +48,11 @@ class BagWriter:
         with require_extra("ros", "a recording of ROS messages"):
             from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer  # noqa: PLC0415
             from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
-        self.path, self.how = path, how or Conventions()
+        self.path, self._images = path, images
+        self._conversion = Conversion(how)
         self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
-        self._conversion = Conversion(self.how)
         self._recording: int | None = None
         self._last_ns: int | None = None
-        self._images, self._closed = images, False
         self._types = {**TOPICS, **TRUTH, **(IMAGE if images else {})}
         with self._naming_errors():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -64,9 +61,9 @@ class BagWriter:
             self._writer: Any = Writer(self._folder, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
+        topic, store = self._conversion.how.topic, self._store
         self._connections = {
-            name: self._writer.add_connection(self.how.topic(name), kind, typestore=self._store)
-            for name, kind in self._types.items()
+            name: self._writer.add_connection(topic(name), kind, typestore=store) for name, kind in self._types.items()
         }
 
     @contextmanager
@@ -91,7 +88,7 @@ class BagWriter:
             bgr = cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR)
             data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].ravel()
             ((name, kind),) = IMAGE.items()
-            header = conversion.header(stamp_ns, self.how.camera_frame)
+            header = conversion.header(stamp_ns, conversion.how.camera_frame)
             messages[name] = conversion.make(kind, header=header, format="jpeg", data=data)
         self._last_ns = stamp_ns
         for name, message in messages.items():
@@ -102,15 +99,11 @@ class BagWriter:
 
         Without a single frame no file is written, and an existing one stays.
         """
-        if self._closed:
-            return
-        self._closed = True
         try:
             with self._naming_errors():
                 self._write_path()
                 self._writer.close()
-                if self._last_ns is not None:
-                    (written,) = self._folder.glob("*.mcap")
+                for written in self._folder.glob("*.mcap") if self._last_ns is not None else ():
                     written.replace(self.path)
         finally:
             self._writer.abort()

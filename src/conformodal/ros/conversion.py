@@ -6,58 +6,105 @@ covariance, and neither candidates nor boxes.
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections import deque
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from conformodal.core.arrays import FloatArray
-from conformodal.core.ranges import as_member
+from conformodal.core.errors import ConformodalError
+from conformodal.core.extras import require_extra
 from conformodal.core.words import as_utf8
 from conformodal.geometry import Trajectory
-from conformodal.localizer.candidates import LEAST_VARIANCE, Candidates, weights_of
+from conformodal.localizer.candidates import Candidates, weights_of
+from conformodal.localizer.region_rules import EvidenceType
 from conformodal.localizer.regions import PoseRegions
 from conformodal.pipeline.estimates import Estimate
 
-from .conventions import Conventions, Covariance, RosError, is_lost
-from .messages import MakeMessage, make_header, make_pose, nanoseconds, rosbags_factory
+# Called with the name of a type and some of its fields. Sequences of numbers are given as an array.array, those of
+# fixed length as a NumPy array.
+MakeMessage = Callable[..., Any]
 
+# topic: type of its messages
+TOPICS = {
+    "pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "candidates": "geometry_msgs/msg/PoseArray",
+    "candidate_weights": "std_msgs/msg/Float64MultiArray",
+    "region": "visualization_msgs/msg/MarkerArray",
+    "path": "nav_msgs/msg/Path",
+    "status": "diagnostic_msgs/msg/DiagnosticArray",
+}
+# of recordings only
+TRUTH = {"truth": "geometry_msgs/msg/PoseStamped"}
+IMAGE = {"image/compressed": "sensor_msgs/msg/CompressedImage"}
 
-def pose_covariance(estimate: Estimate, kind: Covariance) -> FloatArray:
-    """Covariance (6, 6) of an estimate's pose: :attr:`Estimate.covariance`, or that of the chosen place alone."""
-    if as_member(kind, Covariance, "covariance", RosError) is Covariance.MIXTURE:
-        assert estimate.covariance is not None
-        return estimate.covariance
-    assert estimate.position_spread_m is not None
-    assert estimate.orientation_spread_rad is not None
-    variances = estimate.position_spread_m**2 / 3, estimate.orientation_spread_rad**2
-    return np.diag(np.maximum(np.repeat(variances, 3), LEAST_VARIANCE))
-
-
+NANOSECONDS = 1_000_000_000
+_LAST_SECOND = 2**31 - 1
+_LOST_VARIANCE = 1e6  # of every coordinate of a lost frame, m^2 and rad^2
 _COLOURS = {"region": (86 / 255, 180 / 255, 233 / 255), "places": (0.0, 114 / 255, 178 / 255)}
 _FAINTEST, _FULLEST = 0.15, 0.8
 _CUBE, _DELETE_ALL = 1, 3
 _OK, _WARN, _ERROR = 0, 1, 2
 
 
-class Boxes(NamedTuple):
-    """Boxes (m, 3, 2) of positions in metres, the probability (m,) of each, and the number of all boxes."""
-
-    edges_m: FloatArray
-    probabilities: FloatArray
-    n_all: int
+class RosError(ConformodalError):
+    """Something that ROS messages cannot hold, or a recording that cannot be written."""
 
 
-def region_boxes(estimate: Estimate, region: PoseRegions | None, how: Conventions) -> Boxes:
-    """The boxes of a region's positions; a lost frame, whose region is unbounded, has none."""
-    if is_lost(estimate) or region is None or estimate.pose is None:
-        return Boxes(np.empty((0, 3, 2)), np.empty(0), 0)
-    here = estimate.pose.positions_xyz[0][:, None]
-    places = region.places(0)
-    shown = [place for place in places if place.box is not None][: how.most_boxes]
-    edges = [np.clip(place.box[:3], here - how.range_m, here + how.range_m) for place in shown if place.box is not None]
-    return Boxes(np.reshape(edges, (-1, 3, 2)), np.array([place.probability for place in shown]), len(places))
+@dataclass(frozen=True)
+class Conventions:
+    """Names of frames and topics, and limits."""
+
+    world_frame: str = "map"  # of poses: the world of the training poses
+    camera_frame: str = "camera_optical_frame"  # of images: x right, y down, z forward
+    namespace: str = "/conformodal"  # of all topics
+    most_boxes: int = 256  # per region, the most probable first
+    range_m: float = 100.0  # where boxes are cut off, from the chosen position along each axis
+    longest_path: int = 1000  # poses
+    path_every: int = 10  # answered frames per published path
+
+    def topic(self, name: str) -> str:
+        """A topic with its namespace."""
+        return f"{self.namespace}/{name}"
+
+
+def rosbags_factory() -> MakeMessage:
+    """Makes messages in the classes of rosbags; fields that are not given are zero or empty."""
+    with require_extra("ros", "ROS messages"):
+        from rosbags.interfaces import Nodetype  # noqa: PLC0415 - an extra
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+    store: Any = get_typestore(Stores.ROS2_HUMBLE)
+
+    def default(node: Any, what: Any) -> Any:
+        if node == Nodetype.NAME:
+            return make(what)
+        if node == Nodetype.BASE:
+            return {"string": "", "bool": False}.get(what[0], 0)
+        (of, name), _ = what
+        return [] if of == Nodetype.NAME else np.empty(0, dtype=name[0])
+
+    def make(kind: str, **given: Any) -> Any:
+        missing = {name: default(*of) for name, of in store.fielddefs[kind][1] if name not in given}
+        arrays = {name: np.asarray(value) for name, value in given.items() if isinstance(value, array)}
+        return store.types[kind](**{**missing, **given, **arrays})
+
+    return make
+
+
+def nanoseconds(timestamp_s: float) -> int:
+    """A time in whole nanoseconds; whole seconds are converted apart, so that no digit is lost."""
+    sec = math.floor(timestamp_s)
+    return sec * NANOSECONDS + round((timestamp_s - sec) * NANOSECONDS)
+
+
+def is_lost(estimate: Estimate) -> bool:
+    """Whether the pose must not be used: there is no image, or it shows no known place."""
+    return estimate.pose is None or estimate.evidence is EvidenceType.UNKNOWN
 
 
 class Conversion:
@@ -76,20 +123,17 @@ class Conversion:
         self._lost: deque[float] = deque(maxlen=self.how.longest_path)  # times
         self._n_answered = 0
 
-    def messages(self, estimate: Estimate, stamp_ns: int | None = None) -> dict[str, Any]:
+    def messages(self, estimate: Estimate, stamp_ns: int) -> dict[str, Any]:
         """All messages about a frame by topic, see :data:`TOPICS`; the path in every :attr:`Conventions.path_every`.
 
-        `stamp_ns` is the frame's time in nanoseconds, by default the estimate's.
+        `stamp_ns` is the frame's time in nanoseconds.
         """
-        stamp_ns = nanoseconds(estimate.timestamp_s) if stamp_ns is None else stamp_ns
         header = self.header(stamp_ns)
-        region = region_boxes(estimate, estimate.region, self.how)
-        places = region_boxes(estimate, estimate.path_region, self.how)
         messages = {
             "pose": self._pose(estimate, header),
             **self._candidates(estimate, header),
-            "region": self._region({"region": region, "places": places}, header),
-            "status": self._status(estimate, header, region),
+            "region": self._region(estimate, header),
+            "status": self._status(estimate, header),
         }
         if self._extend_path(estimate):
             messages["path"] = self.path(stamp_ns)
@@ -101,22 +145,32 @@ class Conversion:
         return self.make("nav_msgs/msg/Path", header=self.header(stamp_ns), poses=poses)
 
     def header(self, stamp_ns: int, frame: str | None = None) -> Any:
-        """A header, by default in the world's frame."""
-        return make_header(self.make, stamp_ns, self.how.world_frame if frame is None else frame)
+        """A header, by default in the world's frame; ROS holds times from 0 to 2^31 - 1 s."""
+        sec, nanosec = divmod(stamp_ns, NANOSECONDS)
+        if not 0 <= sec <= _LAST_SECOND:
+            raise RosError(f"a time of ROS must lie within 0 and {_LAST_SECOND} s, got {stamp_ns / NANOSECONDS:.9g} s")
+        stamp = self.make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=self.how.world_frame if frame is None else frame)
 
     def stamped(self, stamp_ns: int, pose: Any) -> Any:
         """A pose with a time."""
         return self.make("geometry_msgs/msg/PoseStamped", header=self.header(stamp_ns), pose=pose)
 
+    def pose(self, position_xyz: npt.ArrayLike = (0, 0, 0), quat_wxyz: npt.ArrayLike = (1, 0, 0, 0)) -> Any:
+        """A pose, by default the identity; ROS has the real part of a quaternion last."""
+        (x, y, z), (qw, qx, qy, qz) = (np.asarray(v, dtype=np.float64).tolist() for v in (position_xyz, quat_wxyz))
+        position = self.make("geometry_msgs/msg/Point", x=x, y=y, z=z)
+        orientation = self.make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw)
+        return self.make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
+
     def poses(self, of: Trajectory | Candidates) -> list[Any]:
         """Messages of poses."""
-        pairs = zip(of.positions_xyz, of.orientations_quat_wxyz, strict=True)
-        return [make_pose(self.make, position, quat) for position, quat in pairs]
+        return [self.pose(*pair) for pair in zip(of.positions_xyz, of.orientations_quat_wxyz, strict=True)]
 
     def _pose(self, estimate: Estimate, header: Any) -> Any:
-        pose, covariance = make_pose(self.make), np.eye(6) * self.how.lost_variance
-        if not is_lost(estimate) and estimate.pose is not None:
-            pose, covariance = self.poses(estimate.pose)[0], pose_covariance(estimate, self.how.covariance)
+        pose, covariance = self.pose(), np.eye(6) * _LOST_VARIANCE
+        if not is_lost(estimate) and estimate.pose is not None and estimate.covariance is not None:
+            pose, covariance = self.poses(estimate.pose)[0], estimate.covariance
         inner = self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())
         return self.make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header, pose=inner)
 
@@ -132,36 +186,46 @@ class Conversion:
             "candidate_weights": self.make("std_msgs/msg/Float64MultiArray", layout=layout, data=weights),
         }
 
-    def _region(self, by_name: dict[str, Boxes], header: Any) -> Any:
+    def _region(self, estimate: Estimate, header: Any) -> Any:
         """Boxes to draw, more opaque with higher probability; first an order to remove the previous frame's."""
         kind = "visualization_msgs/msg/Marker"
-        markers = [self.make(kind, header=header, type=_CUBE, action=_DELETE_ALL, pose=make_pose(self.make))]
-        for name, boxes in by_name.items():
-            for number, (box, probability) in enumerate(zip(boxes.edges_m, boxes.probabilities, strict=True)):
-                opacity = _FAINTEST + (_FULLEST - _FAINTEST) * float(probability)
+        markers = [self.make(kind, header=header, type=_CUBE, action=_DELETE_ALL, pose=self.pose())]
+        for name, region in (("region", estimate.region), ("places", estimate.path_region)):
+            for number, (box, probability) in enumerate(self._boxes(estimate, region)):
+                opacity = _FAINTEST + (_FULLEST - _FAINTEST) * probability
                 colour = dict(zip("rgba", (*_COLOURS[name], opacity), strict=True))
                 size = dict(zip("xyz", np.ptp(box, axis=1).tolist(), strict=True))
                 marker = {
-                    "pose": make_pose(self.make, box.mean(axis=1)),
+                    "pose": self.pose(box.mean(axis=1)),
                     "scale": self.make("geometry_msgs/msg/Vector3", **size),
                     "color": self.make("std_msgs/msg/ColorRGBA", **colour),
                 }
                 markers.append(self.make(kind, header=header, ns=name, id=number, type=_CUBE, **marker))
         return self.make("visualization_msgs/msg/MarkerArray", markers=markers)
 
-    def _status(self, estimate: Estimate, header: Any, region: Boxes) -> Any:
+    def _boxes(self, estimate: Estimate, region: PoseRegions | None) -> list[tuple[FloatArray, float]]:
+        """Boxes (3, 2) of a region's positions in metres, each with its probability; none of a lost frame."""
+        if is_lost(estimate) or region is None or estimate.pose is None:
+            return []
+        here = estimate.pose.positions_xyz[0][:, None]
+        places = [(place.box, place.probability) for place in region.places(0)[: self.how.most_boxes]]
+        near = here - self.how.range_m, here + self.how.range_m
+        return [(np.clip(box[:3], *near), float(probability)) for box, probability in places if box is not None]
+
+    def _status(self, estimate: Estimate, header: Any) -> Any:
         """An error for a lost frame, a warning where motion could not be used."""
-        motion = estimate.relative_motion
+        lost, motion = is_lost(estimate), estimate.relative_motion
+        n_boxes = 0 if lost or estimate.region is None else int(estimate.region.n_places[0])
         pairs = {
             "evidence": "none" if estimate.evidence is None else estimate.evidence.name.lower(),
             "known_p": "" if estimate.known_p is None else f"{estimate.known_p:.6g}",
             "motion": "none" if motion is None else str(motion.status),
-            "boxes": str(region.n_all),
-            "boxes_shown": str(len(region.edges_m)),
+            "boxes": str(n_boxes),
+            "boxes_shown": str(min(n_boxes, self.how.most_boxes)),
         }
         status = self.make(
             "diagnostic_msgs/msg/DiagnosticStatus",
-            level=_ERROR if is_lost(estimate) else _OK if estimate.reliable else _WARN,
+            level=_ERROR if lost else _OK if estimate.reliable else _WARN,
             name="conformodal: pose",
             message=as_utf8(estimate.problem or "reliable"),
             values=[self.make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in pairs.items()],

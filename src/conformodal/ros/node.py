@@ -17,7 +17,6 @@ from typing import Any
 
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import MissingPackageError
-from conformodal.core.ranges import as_member
 from conformodal.geometry.lens import Fisheye
 from conformodal.io.streams import ros_messages
 from conformodal.io.streams.frames import SourceError
@@ -27,11 +26,9 @@ from conformodal.pipeline.estimator import Odometry
 from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.store import load_model
 
-from .conventions import TOPICS, Conventions, Covariance, RosError
-from .conversion import Conversion
-from .messages import NANOSECONDS
+from .conversion import NANOSECONDS, TOPICS, Conventions, Conversion, RosError
 
-_NAME, _DEPTH = "conformodal", 10
+_DEPTH = 10  # of queues of messages
 _JUMP_BACK_S = 1.0  # a clock that goes back by more was set anew: a recording is played again
 BAD_INPUT = 2
 
@@ -42,7 +39,6 @@ class Parameters:
 
     model: str = ""  # folder of a saved model
     world_frame: str = "map"  # see :class:`Conventions`
-    covariance: str = Covariance.MIXTURE.value
     compressed: bool = False  # whether images are ``sensor_msgs/CompressedImage``
     # after so many seconds without an image the pose counts as lost; also the time between two such messages
     silent_s: float = 1.0
@@ -70,8 +66,7 @@ class PoseNode:
         self._kind = ros_messages.COMPRESSED if compressed else ros_messages.RAW
         self._last_s: float | None = None
         self._answered_ns: int | None = None
-        self._camera = ""  # as it was last published
-        self._refused = ""
+        self._camera = self._refused = ""  # the camera as it was last published, and why it is not the model's
         odometry.reset()
         topic = self._conversion.how.topic
         self._publishers = {
@@ -88,15 +83,12 @@ class PoseNode:
         camera = ros_messages.key_of_info(message)
         if camera == self._camera:
             return
-        self._camera, before = camera, self._refused
+        self._camera, self._refused = camera, ""
         try:
             lens = ros_messages.camera_of_info(message, "camera_info", self._topic)
             if isinstance(lens, Fisheye):
                 raise SourceError(f"camera_info: lens {message.distortion_model}, expected undistorted images")
             self.odometry.model.check_camera(lens)
-            self._refused = ""
-            if before:
-                self._log.info("the camera is the model's again")
         except (SourceError, OdometryError) as exc:
             self._refused = str(exc)
             self._log.error(f"images are not answered: {exc}")
@@ -109,11 +101,10 @@ class PoseNode:
         if self._refused:
             estimate = _lost(time_s, self._refused)
         else:
-            image, problem = None, ""
             try:
-                image = ros_messages.image_of(message, self._kind)
+                image, problem = ros_messages.image_of(message, self._kind), ""
             except ValueError as exc:
-                problem = str(exc)
+                image, problem = None, str(exc)
             estimate = self.odometry.step(image, time_s)
             estimate = replace(estimate, problem=problem) if problem else estimate
         stamp = message.header.stamp
@@ -175,18 +166,6 @@ def _lost(time_s: float, problem: str) -> Estimate:
     return Estimate(time_s, None, None, None, None, False, problem)
 
 
-def _parameters_of(node: Any) -> Parameters:
-    """Declare the parameters and read what was given."""
-    defaults = vars(Parameters())
-    given = Parameters(**{name: node.declare_parameter(name, value).value for name, value in defaults.items()})
-    if not given.model:
-        raise RosError("parameter model must name the folder of a saved model: --ros-args -p model:=MODEL")
-    as_member(given.covariance, Covariance, "parameter covariance", RosError)
-    if not given.silent_s > 0:
-        raise RosError(f"parameter silent_s must be more than 0 s, got {given.silent_s}")
-    return given
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run the node until ROS or a signal ends it; returns an exit code."""
     try:
@@ -202,11 +181,15 @@ def _run(arguments: list[str] | None) -> None:
         import rclpy  # noqa: PLC0415 - comes with ROS
         from rclpy.executors import ExternalShutdownException  # noqa: PLC0415
     rclpy.init(args=arguments)
-    node = rclpy.create_node(_NAME)
+    node = rclpy.create_node("conformodal")
     try:
-        given = _parameters_of(node)
-        how = Conventions(world_frame=given.world_frame, covariance=Covariance(given.covariance))
-        odometry = odometry_of(load_model(given.model))
+        defaults = vars(Parameters())
+        given = Parameters(**{name: node.declare_parameter(name, value).value for name, value in defaults.items()})
+        if not given.model:
+            raise RosError("parameter model must name the folder of a saved model: --ros-args -p model:=MODEL")
+        if not given.silent_s > 0:
+            raise RosError(f"parameter silent_s must be more than 0 s, got {given.silent_s}")
+        how, odometry = Conventions(world_frame=given.world_frame), odometry_of(load_model(given.model))
         PoseNode(node, odometry, how, compressed=given.compressed, silent_s=given.silent_s)
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
