@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from conformodal.report.figures import as_svg
-from conformodal.report.page import PageFigure, ReportContent, write_page
+from conformodal.report.page import PageFigure, write_page
 from conformodal.report.viewer import make_viewer
 
 pytestmark = pytest.mark.slow
@@ -38,7 +38,7 @@ def run_page(folder, make_run, n=60, **options):
     chart = Figure(figsize=(10, 4))
     chart.subplots().plot([0, 1], [0, 1])
     figures = [PageFigure("chart", "A chart", "Errors of one.", as_svg(chart))]
-    write_page(folder / "report.html", ReportContent("a run", ["60 frames.", "more"], METRICS, figures, viewer))
+    write_page(folder / "report.html", "a run", ["60 frames.", "more"], METRICS, figures, viewer)
     return folder / "report.html"
 
 
@@ -47,7 +47,7 @@ def pages(make_run, tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
     bare = {"provenance": {}, "configuration": {}, "n_answered": 1, "split_note": "all frames."}
     viewer = make_viewer(*make_run(1, truth=False)[:2])
-    write_page(folder / "bare" / "report.html", ReportContent("one frame", ["1 frame."], bare, viewer=viewer))
+    write_page(folder / "bare" / "report.html", "one frame", ["1 frame."], bare, viewer=viewer)
     run = run_page(folder / "run", make_run)
     return {"run": run, "bare": folder / "bare" / "report.html"}
 

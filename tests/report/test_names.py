@@ -10,18 +10,16 @@ import pytest
 from conformodal.cli.console import PlainConsole, plain
 from conformodal.geometry import Trajectory
 from conformodal.pipeline.results import ResultsWriter, read_region_records, region_record
-from conformodal.report.page import ReportContent, write_page
+from conformodal.report.page import write_page
 from conformodal.report.viewer import make_viewer
 from tests.helpers import invoke
 
 NAMES = {
-    "markup": "x[final]", "closing markup": "x[/y]", "style": "[bold red]x[/bold red]",
-    "link": "[link=http://a]x[/link]", "emoji": "camera:x:", "backslash": "a\\[b]\\", "script": "<!--<script>.png",
+    "markup": "x[final][bold red]x[/bold red]", "link": "[link=http://a]x[/link]", "backslash": "a\\[b]\\:x:",
     "end of script": "</script><script>alert(1)</script>", "html": "<img src=x onerror=alert(1)>",
     "quotes": "a\"b'c`d", "template": "{{ 7*7 }}{% raw %}", "separators": "a\u2028b\u2029c", "newline": "a\nb",
-    "tab": "a\tb", "escape": "\x1b[31mred\x1b[0m", "title of the terminal": "\x1b]0;owned\x07", "c1": "a\x9b31mb",
-    "bytes": "caf\udce9.png", "right to left": "a\u202egnp.exe", "zero width": "a\u200bb",
-    "beyond the plane": "\U0001f600.png", "percent": "%s%n{0}", "long": "x" * 5000, "empty": "",
+    "escape": "\x1b[31mred\x1b[0m", "bytes": "caf\udce9.png", "right to left": "a\u202egnp.exe",
+    "beyond the plane": "\U0001f600.png", "empty": "",
 }  # fmt: skip
 PATH = Trajectory(np.arange(3.0), np.eye(3), np.tile([1.0, 0, 0, 0], (3, 1)))
 
@@ -56,24 +54,16 @@ def test_an_error_is_one_line_whatever_it_names(name, tmp_path, monkeypatch):
     assert "\x1b" not in result.output
 
 
-def records_of(name):
-    return [region_record(f"{name}{t}", float(t), None, [np.array([[-2.0, 2.0]])] * 7) for t in range(3)]
-
-
-def run_of(name, folder):
-    with ResultsWriter(folder) as writer:
-        writer.poses("smoothed", PATH)
-        for record in records_of(name):
-            writer.region(record)
-
-
 def test_frames_of_any_name_are_stored_and_shown(name, tmp_path):
-    run_of(name, tmp_path)
+    with ResultsWriter(tmp_path) as writer:
+        writer.poses("smoothed", PATH)
+        for t in range(3):
+            writer.region(region_record(f"{name}{t}", float(t), None, [np.array([[-2.0, 2.0]])] * 7))
     records = read_region_records(tmp_path / "regions.jsonl")
     assert [r["frame"] for r in records] == [f"{name}{i}" for i in range(3)]
     viewer = make_viewer(records, {"smoothed": PATH}, images={f"{name}{i}": b"jpeg" for i in range(3)})
     metrics = {"provenance": {"name": name}, "configuration": {"data": name}, "n_answered": 3, "split_note": name}
-    write_page(tmp_path / "report.html", ReportContent(name, [name], metrics, viewer=viewer))
+    write_page(tmp_path / "report.html", name, [name], metrics, viewer=viewer)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     inside = re.search(r'<script type="application/json" id="viewer-data">(.*?)</script>', page, re.DOTALL).group(1)
     assert [f["n"] for f in json.loads(inside)["frames"]] == [f"{name}{i}" for i in range(3)]

@@ -11,7 +11,7 @@ from conformodal.io import Recording
 from conformodal.quality.advice import quality_record
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.view_coverage import ViewScale, pose_coverage
-from conformodal.report.quality import quality_plan, write_quality_page
+from conformodal.report.figures import quality_plan, write_quality_page
 
 N = 120
 EVERY = np.arange(N)

@@ -10,7 +10,7 @@ from PIL import Image
 from conformodal.geometry import Trajectory
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.results import region_record
-from conformodal.report.page import ReportContent, write_page
+from conformodal.report.page import write_page
 from conformodal.report.viewer import make_viewer
 
 METRICS = {"provenance": {}, "configuration": {}, "n_answered": 60, "split_note": "all frames."}
@@ -18,7 +18,7 @@ METRICS = {"provenance": {}, "configuration": {}, "n_answered": 60, "split_note"
 
 def page_of(folder, run, title="a run"):
     viewer = make_viewer(*run)
-    write_page(folder / "report.html", ReportContent(title, ["first line"], METRICS, viewer=viewer))
+    write_page(folder / "report.html", title, ["first line"], METRICS, viewer=viewer)
     return folder / "report.html"
 
 

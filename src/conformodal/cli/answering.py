@@ -31,7 +31,7 @@ from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import ResultsWriter, record_bounded, write_metrics, write_region_parquet
 from conformodal.pipeline.stream import StreamRunner
-from conformodal.report.page import PAGE, PageFigure, ReportContent, write_page
+from conformodal.report.page import PAGE, PageFigure, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
 
 from .console import report_line
@@ -214,4 +214,4 @@ def write_answers(
         write_region_parquet(folder, records)
     level = answers.model.rules.level
     viewer = make_viewer(records, answers.trajectories, runner.truth, answers.pictures, level, walls)
-    write_page(folder / PAGE, ReportContent(title, summary, metrics, list(figures), viewer))
+    write_page(folder / PAGE, title, summary, metrics, figures, viewer)

@@ -74,7 +74,7 @@ def check(
     """Print what a data set holds, what is wrong with it (exit code 1 if anything is), and what is missing."""
     with nullcontext() if out is None else lock_output(out, "data", apart=folders):
         if out is not None:  # refuse to begin where what draws is not installed
-            from conformodal.report.quality import write_quality_page  # noqa: PLC0415 - it takes time to import
+            from conformodal.report.figures import write_quality_page  # noqa: PLC0415 - it takes time to import
         parts = [
             open_sequence(path, layout, require_poses=False, follow_outside=follow_outside, focal=focal, notes=False)
             for path in folders

@@ -1,4 +1,4 @@
-"""The plan of a frame, as SVG text.
+"""Plans of a frame and of a recording, as SVG text, and the page of a recording's quality.
 
 Colours are those of Okabe and Ito, which colour-blind people can tell apart; truth is black and dashed as well.
 """
@@ -8,15 +8,21 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from conformodal.conformal import Regions
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, rows_by_label
 from conformodal.core.extras import require_extra
+from conformodal.core.files import write_whole
 from conformodal.core.words import as_utf8
 from conformodal.geometry import Trajectory
+from conformodal.quality.examining import RecordingQuality
+from conformodal.quality.settings import QUALITY
+
+from .page import PAGE, render_page
 
 with require_extra("figures", "a figure"):
     import matplotlib as mpl
@@ -32,6 +38,10 @@ COLOURS = {
     "wall": "#888888",
 }
 _RING, _LEAST_BOX = 16, 2.5  # points: across a mark, and the width of a box's own line
+# of a recording: every kind has a mark of its own too, so that the plan is read without colour
+_GOOD, _SPARSE, _FAST, _AMBIGUOUS = "#0072B2", "#D55E00", "#E69F00", "#CC79A7"
+_PLAN = "figures/plan.svg"
+_LONGEST, _SHORTEST = 8.5, 3.2  # inches of the plan of a recording
 
 
 def plan_figure(
@@ -79,6 +89,72 @@ def plan_figure(
     axis.set_ylabel("y (m)")
     figure.legend(loc="outside upper center", ncols=5, frameon=False)
     return as_svg(figure)
+
+
+def quality_plan(quality: RecordingQuality) -> str | None:
+    """The recording seen along the axis that it spreads least along, as SVG text; None where it has no poses."""
+    if quality.poses is None or quality.coverage is None:
+        return None
+    flat = quality.poses.positions_xyz[:, quality.axes]
+    width, height = np.maximum(np.ptp(flat, axis=0), 1e-6)
+    tall = float(np.clip(_LONGEST * height / width, _SHORTEST, _LONGEST))
+    figure = Figure(figsize=(10, tall + 1.2), layout="constrained")
+    axis = figure.subplots()
+    for rows in rows_by_label(quality.sequence.recording[quality.posed]):
+        axis.plot(*flat[rows].T, "-", lw=1, color=COLOURS["wall"], alpha=0.6, zorder=1)
+    note: dict[str, Any] = {"textcoords": "offset points", "fontsize": "small", "zorder": 6}
+    axis.annotate("start", flat[0], xytext=(-6, -14), **note)
+    sparse, ambiguous = quality.coverage.sparse_frames, np.zeros(len(flat), dtype=np.bool_)
+    if quality.ambiguity is not None:
+        ambiguous = np.isin(quality.posed, quality.ambiguity.frames[quality.ambiguity.n_places > 1])
+    for chosen, label, mark, size, colour in (
+        (~sparse & ~ambiguous, "well covered", ".", 5, _GOOD),
+        (ambiguous, "ambiguous", "s", 9, _AMBIGUOUS),
+        (sparse, "sparsely covered", "x", 6, _SPARSE),
+    ):
+        if chosen.any():
+            style: dict[str, Any] = {"ms": size, "mfc": "none", "mew": 1.5, "color": colour, "zorder": 3}
+            axis.plot(*flat[chosen].T, mark, label=f"{label} ({chosen.sum()})", **style)
+    for number, one in enumerate(quality.coverage.fast):
+        name = f"fast motion ({len(quality.coverage.fast)})" if number == 0 else None
+        fast = (quality.posed >= one.first) & (quality.posed <= one.last)
+        axis.plot(*flat[fast].T, "--", lw=2, color=_FAST, label=name, zorder=1.5)
+    box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": _SPARSE, "lw": 0.8, "alpha": 0.85}
+    for one in quality.coverage.sparse:
+        place = np.array(one.place_xyz)[list(quality.axes)].tolist()
+        axis.annotate(f"{one.first}-{one.last}", place, xytext=(8, 8), bbox=box, **note)
+    axis.set_aspect("equal", adjustable="datalim")
+    axis.margins(0.08)
+    first, second = (f"{'xyz'[k]} (m)" for k in quality.axes)
+    axis.set(xlabel=first, ylabel=second)
+    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    return as_svg(figure)
+
+
+def write_quality_page(
+    folder: Path, quality: RecordingQuality | None, record: dict[str, Any], findings: list[str]
+) -> None:
+    """Write ``report.html`` and ``figures/plan.svg`` from the content of ``metrics.json`` and a line per finding.
+
+    Without findings about the quality, those of an earlier check are removed.
+    """
+    for name in (PAGE, _PLAN):
+        (folder / name).unlink(missing_ok=True)
+    if quality is None:
+        return
+    plan = quality_plan(quality)
+    if plan is not None:
+        write_whole(folder / _PLAN, plan)
+    render_page(
+        folder / PAGE,
+        "quality",
+        title=f"Is {quality.sequence.name} good enough?",
+        quality=record["quality"],
+        plan=plan,
+        findings=findings,
+        record=record,
+        sparse_share=round(100 * QUALITY.sparse),
+    )
 
 
 def as_label(text: str) -> str:

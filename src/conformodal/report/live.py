@@ -27,8 +27,7 @@ class LiveViewError(ConformodalError):
 
 
 class LiveView:
-    """Shows a run: image with tracks, places of the image and after motion, candidates, the chosen trajectory,
-    p-values, and the truth.
+    """Shows a run: image with tracks, places of the image and after motion, candidates, trajectory, p-values, truth.
 
     Where an image shows no known place, the region is unbounded and no cuboid is drawn; the status says so. `name` is
     that of the source. `spawn` opens Rerun's window; `save` names a file ``.rrd`` and needs no screen.
@@ -91,14 +90,10 @@ class LiveView:
             self._stream.log(entity, value)
 
     def _cuboids(self, region: PoseRegions, here: FloatArray, colour: tuple[int, int, int]) -> Any:
-        around = np.stack((here - _RANGE_M, here + _RANGE_M), axis=1)
-        places = region.places(0)[:_MOST_CUBOIDS]
-        boxes = np.array([np.clip(one.box[:3], around[:, :1], around[:, 1:]) for one in places if one.box is not None])
-        boxes = boxes.reshape(-1, 3, 2)
-        labels = [f"{one.probability:.2f}" for one in places]
-        return self._rr.Boxes3D(
-            centers=boxes.mean(axis=2), half_sizes=np.ptp(boxes, axis=2) / 2, colors=colour, labels=labels
-        )
+        places, near = region.places(0)[:_MOST_CUBOIDS], (here[:, None] - _RANGE_M, here[:, None] + _RANGE_M)
+        boxes = np.reshape([np.clip(one.box[:3], *near) for one in places if one.box is not None], (-1, 3, 2))
+        sizes, labels = np.ptp(boxes, axis=2) / 2, [f"{one.probability:.2f}" for one in places]
+        return self._rr.Boxes3D(centers=boxes.mean(axis=2), half_sizes=sizes, colors=colour, labels=labels)
 
     def close(self) -> None:
         """Everything is written afterwards."""

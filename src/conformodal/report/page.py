@@ -1,8 +1,9 @@
-"""The result page: one HTML file with everything in it, readable without a network."""
+"""Pages of results: one HTML file each, with everything in it, readable without a network."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,50 +34,39 @@ class PageFigure:
     svg: str
 
 
-@dataclass(frozen=True)
-class ReportContent:
-    """What goes on the page."""
+def write_page(
+    path: Path,
+    title: str,
+    summary: list[str],
+    metrics: dict[str, Any],
+    figures: Sequence[PageFigure] = (),
+    viewer: dict[str, Any] | None = None,
+) -> None:
+    """Write the page of a run, and its figures as files under ``figures`` beside it.
 
-    title: str
-    summary: list[str]  # the first lines
-    metrics: dict[str, Any]  # the content of ``metrics.json``
-    figures: list[PageFigure] = field(default_factory=list)
-    viewer: dict[str, Any] | None = None  # of :func:`~conformodal.report.viewer.make_viewer`, or None
-
-
-def write_page(path: Path, content: ReportContent) -> None:
-    """Write the page, and its figures as files under ``figures`` beside it."""
-    for figure in content.figures:
+    `metrics` is the content of ``metrics.json``, `viewer` of :func:`~conformodal.report.viewer.make_viewer`.
+    """
+    for figure in figures:
         write_whole(path.parent / "figures" / f"{figure.name}.svg", figure.svg)
-    errors = content.metrics.get("errors") or {}
-    ordered = [(label, errors[name]) for name, label in METHOD_LABELS.items() if name in errors]
-    baseline = errors.get("classical", {}).get("rmse_m")
+    errors = metrics.get("errors") or {}
+    paths, image = metrics.get("path_coverage"), metrics.get("coverage")
+    by_evidence = {}
+    if paths and image:
+        by_evidence["the image alone"] = {**image, "coverage": image["joint_coverage"]}
+        by_evidence |= {"the frames so far": paths.get("online"), "all frames": paths.get("hindsight")}
     render_page(
         path,
         "page",
-        title=content.title,
-        content=content,
-        record=content.metrics,
-        viewer=content.viewer,
-        errors=ordered,
-        baseline=baseline,
-        coverage=content.metrics.get("coverage"),
-        paths=_path_rows(content.metrics),
+        title=title,
+        summary=summary,
+        record=metrics,
+        figures=figures,
+        viewer=viewer,
+        errors=[(label, errors[name]) for name, label in METHOD_LABELS.items() if name in errors],
+        baseline=errors.get("classical", {}).get("rmse_m"),
+        coverage=image,
+        paths=[(name, row) for name, row in by_evidence.items() if row],
     )
-
-
-def _path_rows(metrics: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    """Rows of the image's region and of those from posteriors; empty without the latter."""
-    paths, image = metrics.get("path_coverage"), metrics.get("coverage")
-    if not paths or not image:
-        return []
-    image_row = {**image, "coverage": image["joint_coverage"]}
-    named = {
-        "the image alone": image_row,
-        "the frames so far": paths.get("online"),
-        "all frames": paths.get("hindsight"),
-    }
-    return [(name, row) for name, row in named.items() if row]
 
 
 def render_page(path: Path, template: str, **content: Any) -> None:

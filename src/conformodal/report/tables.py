@@ -51,8 +51,6 @@ def draw_regions(
     ax
         Axes to draw on; None makes a new figure, ``ax.figure``.
     """
-    if not isinstance(regions, Regions):
-        raise ConformodalError(f"regions must be Regions, of one alpha, got {type(regions).__name__}")
     n, target = len(regions), as_count(target, "target", 0, regions.bins.n_targets - 1)
     at = np.arange(n, dtype=np.float64) if x is None else as_finite(x, "x", "(n,)")
     for name, given in (("x", at), ("density", at if density is None else density)):
@@ -107,8 +105,6 @@ def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None)
     ax
         Axes to draw on; None makes a new figure, ``ax.figure``.
     """
-    if not isinstance(diagnosis, Diagnosis):
-        raise ConformodalError(f"diagnosis must be a Diagnosis, got {type(diagnosis).__name__}")
     guarantee = diagnosis.columns[as_count(column, "column", 0, len(diagnosis.columns) - 1)]
     ax = Figure(layout="constrained").subplots() if ax is None else ax
     rows, whole = guarantee.rows()[::-1], guarantee.coverage

@@ -1,4 +1,4 @@
-"""The part of the page that moves: the records of a run, frame by frame."""
+"""The part of the page that moves: the records of a run, frame by frame, and sentences about each and about all."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
+from itertools import islice, product
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -14,43 +16,41 @@ import numpy as np
 from conformodal.core.arrays import FloatArray, UInt8Array
 from conformodal.core.extras import require_extra
 from conformodal.core.words import counted
-from conformodal.geometry import Trajectory, trajectory_errors
+from conformodal.geometry import Trajectory, angle_between_quats, trajectory_errors
+from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.model import ONLINE
 from conformodal.pipeline.results import records_hold
-
-from .page_frames import describe_run, kind_of, page_frame
 
 with require_extra("run", "a page of results"):
     import cv2
 
 MOST_FRAMES = 1000
 _WIDTH, _QUALITY = 200, 60  # of a thumbnail
+_MOST_BOXES = 64  # of a region that is a product
 # In this order they are one script; a later one uses names of the earlier ones.
 _SCRIPTS = ("data", "drawing", "plan", "space", "charts", "words", "player")
+
+Intervals = list[list[float | None]]  # an end that is None has no bound
 
 
 class Thumbnails:
     """JPEG thumbnails of a source by frame name, spread evenly over all frames so far.
 
-    When there are more than `most`, every other one is dropped, and from then on half as many are taken.
+    When there are more than :data:`MOST_FRAMES`, every other one is dropped, and from then on half as many are taken.
     """
 
-    def __init__(self, most: int = MOST_FRAMES, width: int = _WIDTH) -> None:
-        self.most, self.width = most, width
+    def __init__(self) -> None:
         self.jpegs: dict[str, bytes] = {}
         self._stride, self._n_offered = 1, 0
 
     def add(self, name: str, image: UInt8Array) -> None:
         """Offer the next frame, (h, w, 3) RGB."""
         if self._n_offered % self._stride == 0:
-            height = max(1, round(image.shape[0] * self.width / image.shape[1]))
-            small = cv2.resize(image, (self.width, height), interpolation=cv2.INTER_AREA)
-            bgr = cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
-            done, data = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))
-            if done:
-                self.jpegs[name] = data.tobytes()
-            if len(self.jpegs) > self.most:
-                self.jpegs = {name: data for i, (name, data) in enumerate(self.jpegs.items()) if i % 2 == 0}
+            height = max(1, round(image.shape[0] * _WIDTH / image.shape[1]))
+            bgr = cv2.cvtColor(cv2.resize(image, (_WIDTH, height), interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2BGR)
+            self.jpegs[name] = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))[1].tobytes()
+            if len(self.jpegs) > MOST_FRAMES:
+                self.jpegs = dict(islice(self.jpegs.items(), 0, None, 2))
                 self._stride *= 2
         self._n_offered += 1
 
@@ -77,28 +77,22 @@ def make_viewer(
         (2, 2) segments, drawn where the plan shows x and y.
     """
     n, images = len(records), images or {}
-    answer, classical, online = (
-        next(iter(trajectories.values())),
-        trajectories.get("classical"),
-        trajectories.get(ONLINE),
-    )
+    answer = next(iter(trajectories.values()))
+    classical, online = trajectories.get("classical"), trajectories.get(ONLINE)
     truth = truth if truth is not None and len(truth) == n else None
+    frames = [_region_of(record) for record in records]
+    _add_poses(frames, answer, truth, classical)
     holds_pose = records_hold(records, answer, None)
     holds_truth = np.zeros(n, dtype=np.bool_) if truth is None else records_hold(records, truth, None)
+    for i, frame in enumerate(frames):
+        if truth is not None:
+            frame["held"] = bool(holds_truth[i])
+        frame["say"] = _describe_frame(frame, holds_pose=bool(holds_pose[i]))
     stride = max(1, -(-n // MOST_FRAMES))
-    shown, kinds, bounded = [], Counter[str](), np.zeros(n, dtype=np.bool_)
-    for i, record in enumerate(records):
-        row = slice(i, i + 1)
-        paths = [None if path is None else path[row] for path in (truth, classical)]
-        frame = page_frame(
-            record, answer[row], *paths, holds_pose=bool(holds_pose[i]), holds_truth=bool(holds_truth[i])
-        )
-        kinds[kind_of(frame)] += 1
-        bounded[i] = truth is not None and frame["size"] is not None
-        if frame["n"] in images:
-            shown.append({**frame, "img": base64.b64encode(images[frame["n"]]).decode()})
-        elif not images and i % stride == 0:
-            shown.append(frame)
+    shown = [frame for i, frame in enumerate(frames) if (frame["n"] in images if images else i % stride == 0)]
+    for frame in shown if images else ():
+        frame["img"] = base64.b64encode(images[frame["n"]]).decode()
+    bounded = np.array([truth is not None and frame["size"] is not None for frame in frames])
     rmse_m = {}
     if truth is not None:
         if online is not None:
@@ -117,7 +111,7 @@ def make_viewer(
     return {
         "json": json_in_script(data),
         "script": _script(),
-        "text": describe_run(kinds, int(bounded.sum()), int(holds_truth[bounded].sum()), rmse_m),
+        "text": _describe_run(frames, int(bounded.sum()), int(holds_truth[bounded].sum()), rmse_m),
         "note": "" if len(shown) == n else f"{len(shown)} of {counted(n, 'frame')} are shown, evenly spread.",
         "n_shown": len(shown),
         "has_images": bool(images),
@@ -127,6 +121,109 @@ def make_viewer(
         "known": any(frame["kp"] is not None for frame in shown),
         "path_places": any("pb" in frame for frame in shown),
     }
+
+
+def _region_of(record: dict[str, Any]) -> dict[str, Any]:
+    """What the page's script reads of a frame's record; short names, because there are a thousand frames."""
+    parts: list[Intervals] = [record["intervals"][axis] for axis in "xyz"]
+    lengths = [sum(_lengths(intervals)) for intervals in parts]
+    if record["places"] is None:  # a region that is a product
+        boxes = [[*box, None] for box in islice(product(*parts), _MOST_BOXES)]
+    else:
+        boxes = _position_boxes(record["places"])
+    frame: dict[str, Any] = {
+        "n": record["frame"],
+        "t": round(record["timestamp_s"], 4),
+        "ok": record["reliable"],
+        "m": record["motion"],
+        "kp": record["known_p"],
+        "ev": record["evidence"],
+        "iv": [_rounded(intervals) for intervals in parts],
+        "bx": boxes,
+        "size": None if inf in lengths else round(float(np.linalg.norm(lengths)), 4),
+        "whole": all(intervals == [[None, None]] for intervals in parts),
+    }
+    if record["path_places"] is not None:
+        frame["pb"] = _position_boxes(record["path_places"])
+    if record["place_p"] is not None:
+        frame["pp"] = record["place_p"]
+    return frame
+
+
+def _position_boxes(places: list[dict[str, Any]]) -> list[list[Any]]:
+    """Intervals along x, y and z, and the probability; places that differ in orientation alone are one."""
+    boxes: dict[str, list[Any]] = {}
+    for place in places:
+        box = _rounded(place["box"][:3])
+        boxes.setdefault(str(box), [*box, 0.0])[3] += place["p"]
+    return sorted(boxes.values(), key=lambda box: -float(box[3]))
+
+
+def _rounded(intervals: Intervals) -> Intervals:
+    return [[None if end is None else round(end, 4) for end in interval] for interval in intervals]
+
+
+def _lengths(intervals: Intervals) -> list[float]:
+    """Of intervals; infinite without a bound."""
+    return [inf if low is None or high is None else high - low for low, high in intervals]
+
+
+def _add_poses(
+    frames: list[dict[str, Any]], answer: Trajectory, truth: Trajectory | None, classical: Trajectory | None
+) -> None:
+    """Add the answer, the truth and the regressor's answer to all frames, and errors in metres and degrees."""
+    columns = {"p": answer.positions_xyz, "q": answer.orientations_quat_wxyz}
+    if classical is not None:
+        columns["classical"] = classical.positions_xyz
+    if truth is not None:
+        columns["truth"] = truth.positions_xyz
+        columns["err"] = np.linalg.norm(answer.positions_xyz - truth.positions_xyz, axis=1)
+        turned = angle_between_quats(answer.orientations_quat_wxyz, truth.orientations_quat_wxyz)
+        columns["deg"] = np.degrees(turned)
+        if classical is not None:
+            columns["cerr"] = np.linalg.norm(classical.positions_xyz - truth.positions_xyz, axis=1)
+    for name, column in columns.items():
+        for frame, value in zip(frames, np.round(column, 5 if name in ("err", "cerr") else 4).tolist(), strict=True):
+            frame[name] = value
+
+
+def kind_of(frame: dict[str, Any]) -> str:
+    """What the region of a frame names, in a word or two."""
+    if frame["ev"] == EvidenceType.UNKNOWN.name.lower():
+        return "unknown place"
+    if frame["whole"]:
+        return "unbounded"
+    n_places = len(frame["bx"])
+    return "empty" if not n_places else "one place" if n_places == 1 else "several places"
+
+
+def _describe_run(frames: list[dict[str, Any]], n_bounded: int, n_held: int, rmse_m: Mapping[str, float]) -> str:
+    """The whole run in words: frames by :func:`kind_of`, bounded regions that hold the truth, and RMSE by name."""
+    kinds = Counter(kind_of(frame) for frame in frames)
+    lines = [f"{counted(len(frames), 'frame')}: {', '.join(f'{kind} in {n}' for kind, n in kinds.items())}."]
+    if n_bounded:
+        lines.append(f"{n_held} of {counted(n_bounded, 'bounded region')} contain the true pose.")
+    if rmse_m:
+        lines.append(f"Position RMSE: {', '.join(f'{value:.3f} m {name}' for name, value in rmse_m.items())}.")
+    return " ".join(lines)
+
+
+def _describe_frame(frame: dict[str, Any], *, holds_pose: bool) -> str:
+    """A frame in words: the region first, then the chosen pose."""
+    kind = kind_of(frame)
+    bounded = kind in ("one place", "several places")
+    if bounded:
+        size = " x ".join(f"{max(_lengths(intervals)):.3f}" for intervals in frame["iv"])
+        lines = [f"The region names {counted(len(frame['bx']), 'place')}, {size} m at most."]
+        if not holds_pose:
+            lines.append("The chosen pose lies outside it.")
+    else:
+        p = "" if frame["kp"] is None else f" (p = {frame['kp']:.2g})"
+        lines = [f"Unknown place{p}: the region is unbounded." if kind == "unknown place" else f"The region is {kind}."]
+    if "truth" in frame:
+        held = f", which the region {'contains' if frame['held'] else 'misses'}" if bounded else ""
+        lines.append(f"The chosen pose is {frame['err']:.3f} m and {frame['deg']:.2f} degrees from the true one{held}.")
+    return " ".join(lines)
 
 
 def json_in_script(data: Any) -> str:
