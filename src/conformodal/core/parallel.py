@@ -12,6 +12,7 @@ from functools import cache
 from threading import Event
 from typing import Any, TypeVar
 
+from joblib import cpu_count
 from threadpoolctl import ThreadpoolController
 
 from .progress import Progress
@@ -38,27 +39,19 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: 
         return work(item)
 
     with one_blas_thread(), ThreadPoolExecutor(thread_limit()) as pool:
-        if min(len(items), thread_limit()) <= 1:  # in this thread, where an interrupt arrives
-            results: list[Result] = []
-            for item in items:
-                results.append(checked(item))
-                _report(progress, len(results), len(items))
-            return results
+        if len(items) == 1 and progress is None:  # as for each frame of a stream
+            return [checked(items[0])]
         futures = [pool.submit(context.copy().run, checked, item) for item in items]
         try:
             for done, future in enumerate(as_completed(futures), start=1):
                 future.result()
-                _report(progress, done, len(items))
+                if progress is not None:
+                    progress(done, len(items))
         except BaseException:
             failed.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return [future.result() for future in futures]
-
-
-def _report(progress: Progress | None, done: int, total: int) -> None:
-    if progress is not None:
-        progress(done, total)
 
 
 def side_by_side(one: Callable[[], Item], other: Callable[[], Result]) -> tuple[Item, Result]:
@@ -93,13 +86,8 @@ def set_thread_limit(threads: int) -> None:
 
 def thread_limit() -> int:
     """The limit that was set, or ``$OMP_NUM_THREADS``, or the cores that this process may use."""
-    if _limit is not None:
-        return _limit
     stated = os.environ.get("OMP_NUM_THREADS", "")
-    if stated.isdigit() and int(stated) > 0:
-        return int(stated)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return cores or 1
+    return _limit or (int(stated) if stated.isdigit() else 0) or cpu_count()
 
 
 def release_freed_memory() -> None:

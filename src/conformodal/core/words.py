@@ -7,13 +7,7 @@ from collections.abc import Sequence
 
 
 def counted(n: int, noun: str, plural: str | None = None) -> str:
-    """A number with its noun, whose plural ends in s unless it is given.
-
-    Examples
-    --------
-    >>> counted(1, "frame"), counted(2, "frame"), counted(0, "stretch", "stretches")
-    ('1 frame', '2 frames', '0 stretches')
-    """
+    """A number with its noun, whose plural ends in s unless it is given."""
     return f"{n} {noun_for(n, noun, plural)}"
 
 
@@ -23,13 +17,7 @@ def noun_for(n: int, noun: str, plural: str | None = None) -> str:
 
 
 def listed(words: Sequence[str]) -> str:
-    """Words as a sentence lists them, at least one.
-
-    Examples
-    --------
-    >>> listed(["x"]), listed(["x", "y"]), listed(["x", "y", "z"])
-    ('x', 'x and y', 'x, y and z')
-    """
+    """Words as a sentence lists them, at least one."""
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
