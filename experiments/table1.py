@@ -21,8 +21,7 @@ from conformodal.cli.failures import OptionError, report_errors
 from conformodal.cli.sources import Cache, Data, DataLayout, cache_folder, open_sequence
 from conformodal.core.files import write_whole
 from conformodal.features.extract import FeatureCache
-from conformodal.features.networks.registry import find_network
-from conformodal.features.settings import TrainingConfig
+from conformodal.features.settings import TrainingConfig, check_network
 from conformodal.io import Layout, Recording, SplitKind
 from conformodal.io.folders import writing_in
 from conformodal.pipeline.config import Method
@@ -90,7 +89,7 @@ class Plan:
 
     def __post_init__(self) -> None:
         for name in self.networks.split(","):
-            find_network(name)
+            check_network(name)
         rows_of(self.networks.split(","))  # three of them
         if self.address is not None and self.engine is not Engine.RAY:
             raise OptionError(f"--address needs --engine ray, got --engine {self.engine}")

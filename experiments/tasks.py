@@ -16,7 +16,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from conformodal.conformal import ConformodalError
 from conformodal.core.files import write_whole
-from conformodal.features.networks.torch_backbone import limit_threads
+from conformodal.features.networks import limit_threads
 
 Result: TypeAlias = dict[str, Any]
 

@@ -10,8 +10,7 @@ from conformodal.io.convert import write_layout
 from conformodal.io.streams.opening import open_stream
 from conformodal.io.streams.prefetch import prefetch
 from conformodal.localizer.radius import Guarantee, PoseRadius
-from conformodal.pipeline.config import Calibration, Method, ModelConfig, Runtime
-from conformodal.ros.conventions import Conventions, Covariance
+from conformodal.pipeline.config import Calibration, Method, ModelConfig
 
 ROWS = np.arange(4)
 STILL = Trajectory([0.0, 1.0, 2.0], np.zeros((3, 3)), np.tile([1.0, 0, 0, 0], (3, 1)))
@@ -19,7 +18,6 @@ PARTS = {"seed": 0, "train": ROWS, "calibration": ROWS, "test": ROWS}
 
 # how a value gets there, and what the message calls it
 ENTRIES = [
-    (lambda v: Conventions(covariance=v), "covariance"),
     (lambda v: read_recording("nowhere", v), "format"),
     (lambda v: open_stream("nowhere", v), "format"),
     (lambda v: write_layout(None, v, None, None, None), "layout"),
@@ -30,7 +28,6 @@ ENTRIES = [
     (lambda v: ModelConfig(method=v), "method"),
     (lambda v: ModelConfig(split=v), "split"),
     (lambda v: ModelConfig(calibrate_on=v), "calibrate_on"),
-    (lambda v: ModelConfig(runtime=v), "runtime"),
     (lambda v: PoseRadius(1.0, 0.1, v, "online", 9), "guarantee"),
 ]
 
@@ -47,11 +44,9 @@ def test_a_value_that_is_not_a_member_is_refused_where_it_enters(enter, argument
 
 
 FIELDS = [
-    (Conventions(covariance="chosen"), "covariance", Covariance.CHOSEN),
     (Split("recordings", **PARTS), "kind", SplitKind.RECORDINGS),
     (ModelConfig(method="conformodal"), "method", Method.CONFORMODAL),
     (ModelConfig(calibrate_on="stretches"), "calibrate_on", Calibration.STRETCHES),
-    (ModelConfig(runtime="int8"), "runtime", Runtime.INT8),
     (PoseRadius(1.0, 0.1, "recording", "online", 9), "guarantee", Guarantee.RECORDING),
 ]
 

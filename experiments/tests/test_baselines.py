@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from conformodal.features.backbone import feature_views
-from conformodal.features.projection import fit_projection
+from conformodal.features.head import fit_projection
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Split, SplitKind
 from conformodal.pipeline.training_data import TrainingData

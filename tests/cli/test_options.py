@@ -29,7 +29,6 @@ REFUSED = [
     ("train", "--test=0.5 --calibration-share=0.5", "calibration"),
     ("train", "--used=0.16", "used"),
     ("train", "--network=resnet", "resnet"),
-    ("train", "--device=tpu", "tpu"),
     ("train", "--score=best", "score"),
     ("train", "--joint=all", "joint"),
     ("train", "--sources=head,stars", "stars"),
@@ -72,9 +71,6 @@ CONTRADICTIONS = [
     ("run MODEL VIDEO --part test", "video"),
     ("data convert DATA --topic /image", "--topic"),
     ("data convert DATA --camera DATA", "--camera"),
-    ("export MODEL --data .", "--quantise"),
-    ("export MODEL --quantise int8", "--quantise"),
-    ("export MODEL --quantise int4", "--quantise"),
 ]
 
 

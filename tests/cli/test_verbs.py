@@ -11,7 +11,7 @@ from tests.helpers import invoke
 
 @pytest.mark.parametrize(
     ("commands", "heavy"),
-    [([()], ("torch", "scipy", "sklearn", "cv2", "matplotlib")), ([("train",), ("export",), ("run",)], ("torch",))],
+    [([()], ("torch", "scipy", "sklearn", "cv2", "matplotlib")), ([("train",), ("run",)], ("torch",))],
 )
 def test_help_imports_nothing_heavy(commands, heavy):
     script = "import sys; from contextlib import suppress; from conformodal.cli.main import app\n"
@@ -28,7 +28,6 @@ def test_info_names_training_data_guarantee_and_size(small_world):
     assert found["frames"] == {part: len(model.split.part(part)) for part in ("train", "calibration", "test")}
     assert found["alpha"] == 0.2
     assert found["sources"] == list(model.settings["sources"])
-    assert found["runtime"] == "onnx"
     assert found["network_ms"] > 0
     (weights,) = small_world.model.glob("weights-*")
     assert found["bytes"][weights.name] == weights.stat().st_size

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from conformodal.ros.conventions import IMAGE, TOPICS, TRUTH, Conventions
+from conformodal.ros.conversion import IMAGE, TOPICS, TRUTH, Conventions
 from conformodal.ros.node import Parameters
 
 ROOT = Path(__file__).parents[2]

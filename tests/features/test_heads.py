@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from conformodal.features.heads import Head, fit_head, mean_squared_error, soft_cross_entropy
-from conformodal.features.projection import fit_projection
+from conformodal.features.head import fit_projection
+from conformodal.features.heads import Head, fit_head, soft_cross_entropy
 from conformodal.features.settings import TrainingConfig, VisionError
 
 
@@ -43,9 +43,6 @@ def test_the_loss_is_the_mean_cross_entropy_of_the_targets_whatever_their_sizes(
 def test_too_little_data_is_refused():
     with pytest.raises(VisionError, match="two samples"):
         fit_head(np.zeros((1, 3), np.float32), np.zeros((1, 2)), [2], soft_cross_entropy, CONFIG)
-    for loss in (soft_cross_entropy, mean_squared_error):
-        with pytest.raises(VisionError, match="shape of the outputs"):
-            fit_head(np.zeros((8, 3), np.float32), np.zeros((8, 1)), [2], loss, CONFIG)
 
 
 @pytest.mark.parametrize("components", [4, None])

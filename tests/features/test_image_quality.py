@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from conformodal.features.image_quality import NOT_MEASURED, QUALITIES, QualityRange, image_quality
+from conformodal.features.local import NOT_MEASURED, QUALITIES, QualityRange, image_quality
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,13 @@ import pytest
 from conformodal.conformal import SplitConformal, coverage_band
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.local import extract_local_features
-from conformodal.features.networks.torch_backbone import TorchBackbone
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Disturbance, read_recording
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.radius import Guarantee, PoseRadius
 from conformodal.localizer.region_rules import EvidenceType, RegionRules
 from conformodal.localizer.targets import pose_targets
-from conformodal.pipeline.config import ModelConfig, config_of
+from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.errors import ModelFileError, OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.evaluate import RegionStatistics, coverage_table
@@ -91,7 +90,7 @@ def test_alpha_has_one_form_before_and_after_saving(small_world, tmp_path, alpha
             assert held == 0.3
             assert isinstance(held, float)
         assert one.settings["novelty_level"] == one.configuration.get("novelty_level", 0.25) == 0.25
-        assert config_of(one.settings).alpha == 0.3
+        assert one.settings["alpha"] == 0.3
 
 
 def test_no_source_has_seen_a_frame_that_calibrates_or_tests(model):
@@ -170,16 +169,6 @@ def test_what_does_not_fit_the_schema_is_named(model, record, arrays, match):
     changed = {k: v for k, v in {**whole, **arrays}.items() if v is not None}
     with pytest.raises((KeyError, TypeError), match=match):
         _check_schema(dict.fromkeys(keys), changed)
-
-
-def test_a_model_of_other_backbone_weights_is_refused(model, tmp_path, monkeypatch):
-    in_torch = TorchBackbone(model.backbone.config)
-    save_model(replace(model, backbone=in_torch), tmp_path)
-    assert load_model(tmp_path).backbone.fingerprint == in_torch.fingerprint
-    monkeypatch.setattr(in_torch, "_identity", b"other")
-    save_model(replace(model, backbone=in_torch), tmp_path)
-    with pytest.raises(ModelFileError, match="another version"):
-        load_model(tmp_path)
 
 
 @pytest.mark.parametrize(("joint", "score"), [("max", "density"), ("none", "lac"), ("max", "hpd")])

@@ -65,13 +65,12 @@ def test_settings_are_checked_without_torch():
         from conformodal.pipeline.config import ModelConfig
         from conformodal.features.settings import VisionError
 
-        ModelConfig(), ModelConfig(network="hf:someone/something"), ModelConfig.paper(device="cuda")
-        for wrong in ({"network": "efficientnet_lite9"}, {"device": "tpu"}):
-            try:
-                ModelConfig(**wrong)
-            except VisionError as exc:
-                assert next(iter(wrong.values())) in str(exc)
-            else:
-                raise AssertionError(wrong)
+        ModelConfig(), ModelConfig(network="hf:someone/something"), ModelConfig.paper()
+        try:
+            ModelConfig(network="efficientnet_lite9")
+        except VisionError as exc:
+            assert "efficientnet_lite9" in str(exc)
+        else:
+            raise AssertionError
     """)
     assert found.returncode == 0, found.stderr

@@ -10,8 +10,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from conformodal.features.backbone import OnnxBackbone
-from conformodal.pipeline.config import Runtime
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.store import load_model, model_digest
 from conformodal.quality.guarantee import guarantees
@@ -60,7 +58,6 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
         "radius_m": None if model.radius is None else model.radius.radius_m,
         "bytes": {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()},
         "network": model.backbone.config.name,
-        "runtime": _runtime(model),
         "network_ms": _milliseconds(model),
     }
 
@@ -81,17 +78,9 @@ def describe_facts(facts: dict[str, Any]) -> list[str]:
         f"images whose p-value of showing a known place is at most {facts['novelty_level']:g} "
         f"({facts['recognised_level']:g} where a place is recognised) get an unbounded region",
         f"radius around the chosen pose: {radius}",
-        f"size: {sum(facts['bytes'].values()) / 1e6:.1f} MB; network {facts['network']} in {facts['runtime']}: "
+        f"size: {sum(facts['bytes'].values()) / 1e6:.1f} MB; network {facts['network']}: "
         f"{facts['network_ms']:.1f} ms per image here",
     ]
-
-
-def _runtime(model: PoseModel) -> str:
-    """What runs the network; a model trained in torch may have been exported since."""
-    if not isinstance(model.backbone, OnnxBackbone):
-        return str(Runtime.TORCH)
-    eight_bits = model.configuration.get("runtime") == Runtime.INT8
-    return str(Runtime.INT8 if eight_bits else Runtime.ONNX)
 
 
 def _milliseconds(model: PoseModel) -> float:

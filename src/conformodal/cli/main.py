@@ -21,7 +21,6 @@ COMMANDS = {
     "demo": "Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and "
     "motion.",
     "train": "Train on a data set with poses, calibrate, and save the model.",
-    "export": "Convert a model's network to ONNX, or quantise it to eight bits.",
     "calibrate": "Give the chosen pose a radius with a coverage guarantee, calibrated on whole recordings.",
     "run": "Compute regions and the trajectory of sources with a saved model, frame by frame. Ctrl-C stops it and "
     "keeps the results.",
@@ -31,7 +30,7 @@ COMMANDS = {
     "data": "Check or convert a data set.",
     "table": "Learn columns of a CSV file from the others; print regions of unseen rows and their coverage.",
 }
-_EXTRAS = {"demo": "train", "train": "train", "export": "train", "table": "table"}  # the others need 'run'
+_EXTRAS = {"demo": "train", "train": "train", "table": "table"}  # the others need 'run'
 _HELP = "Every pose that an image may show, with a coverage guarantee; and the one that fits the motion."
 
 

@@ -9,11 +9,11 @@ from typing import Annotated, Any
 
 import typer
 
+from conformodal.core.extras import require_extra
 from conformodal.features.extract import FeatureCache
-from conformodal.features.networks.registry import NETWORKS, find_network
-from conformodal.features.settings import TrainingConfig
+from conformodal.features.settings import NETWORKS, TrainingConfig
 from conformodal.io import Layout, SplitKind
-from conformodal.pipeline.config import Calibration, Method, ModelConfig, Runtime
+from conformodal.pipeline.config import Calibration, Method, ModelConfig
 from conformodal.pipeline.results import lock_output
 
 from .console import print_where, progress_bars
@@ -70,10 +70,6 @@ def train(
         ",".join(ModelConfig.sources)
     ),
     network: Annotated[str, _model(help=f"Network of the features: {', '.join(NETWORKS)}.")] = ModelConfig.network,
-    runtime: Annotated[Runtime, _model(help="Of the network: onnx, int8 (smaller, less exact), or torch.")] = (
-        ModelConfig.runtime
-    ),
-    device: Annotated[str, _model(help="Of the network: cpu, cuda, or auto.")] = ModelConfig.device,
     n_bins: Annotated[int, _model("--bins", min=1, help="Bins per target (K).")] = ModelConfig.n_bins,
     sigma_bins: Annotated[
         float, _model("--sigma", min=0, help="Width of the labels in bins; 0: one-hot, as in the paper.")
@@ -137,8 +133,6 @@ def train(
         "used": used,
         "network": network,
         "sources": tuple(name.strip() for name in sources.split(",")),
-        "device": device,
-        "runtime": runtime,
         "seed": seed,
         "training": replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
     }
@@ -149,7 +143,10 @@ def train(
         config = ModelConfig.paper(**{name: settings[name] for name in given})
     else:
         config = ModelConfig(**settings)
-    _ = find_network(network).block  # refuses a model of transformers that is not here, before images are read
+    with require_extra("train", "training"):  # torch takes a second to import
+        from conformodal.features.networks import default_block  # noqa: PLC0415
+
+    default_block(network)  # refuses a model of transformers that is not here, before images are read
     with lock_output(out, "train", apart=[*data, *([] if held_out is None else [held_out])]):
         features = FeatureCache(cache_folder(cache))
         sequence = open_sequences(data, layout, test=held_out, follow_outside=follow_outside, focal=focal)

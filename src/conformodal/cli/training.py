@@ -1,4 +1,4 @@
-"""Training, saving and describing a model, as train, demo and export do."""
+"""Training, saving and describing a model, as train and demo do."""
 
 from __future__ import annotations
 

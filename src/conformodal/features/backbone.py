@@ -1,12 +1,8 @@
-"""Feature extractors: maps of a frozen network, which keep where in the image things are, and a thumbnail.
-
-A trained model runs its network by ONNX Runtime, without torch.
-"""
+"""Features of an image: the map of a frozen network, which keeps where in the image things are, and a thumbnail."""
 
 from __future__ import annotations
 
 import hashlib
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -74,42 +70,8 @@ class BackboneConfig:
     grid: tuple[int, int] = (6, 8)  # rows and columns the map is averaged into; (1, 1) loses positions
 
 
-class Backbone(ABC):
-    """A feature extractor; a subclass runs the network."""
-
-    config: BackboneConfig
-
-    @property
-    @abstractmethod
-    def fingerprint(self) -> str:
-        """Digest of all that decides the features."""
-
-    @abstractmethod
-    def maps(self, images: UInt8Array) -> Float32Array:
-        """The network's features (n, channels * rows * columns) of prepared images (n, h, w, 3)."""
-
-    def prepare(self, image: UInt8Array) -> UInt8Array:
-        """Resize one image (h, w, 3) to the input size, averaging where it shrinks."""
-        size = (self.config.width, self.config.height)
-        if image.shape[1::-1] == size:
-            return image
-        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-
-    def describe(self, images: UInt8Array) -> npt.NDArray[np.float16]:
-        """Features (n, F) of prepared images (n, h, w, 3), rounded as the cache keeps them.
-
-        The network's map, then a thumbnail of the image as its global descriptor: see :func:`feature_views`.
-        """
-        pictures = np.stack([thumbnail(image) for image in images]) * np.sqrt(_PICTURE)
-        return np.concatenate((self.maps(images), pictures), axis=1).astype(np.float16)
-
-    def features_of(self, image: UInt8Array) -> Float32Array:
-        """Features (1, F) of one image (h, w, 3), the same numbers as a data set's from the cache."""
-        return self.describe(self.prepare(image)[None]).astype(np.float32)
-
-
-class OnnxBackbone(Backbone):
-    """A feature extractor in ONNX.
+class Backbone:
+    """A feature extractor: a network in ONNX, which ONNX Runtime runs without torch.
 
     The file has the input ``images`` (n, height, width, 3) uint8 and the output ``map`` (n, channels * rows * columns)
     float32.
@@ -119,6 +81,8 @@ class OnnxBackbone(Backbone):
         with require_extra("run", "running a model"):
             import onnxruntime  # noqa: PLC0415 - only where a network is run
         self.config, self.content = config, content
+        # of all that decides the features
+        self.fingerprint = hashlib.sha256(content + repr(THUMBNAIL).encode()).hexdigest()
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = thread_limit()
         # idle threads that spin take the cores from tracking and search
@@ -135,15 +99,25 @@ class OnnxBackbone(Backbone):
                 f"{OUTPUT!r}, got {names} and {shape}"
             )
 
-    @property
-    def fingerprint(self) -> str:
-        """Digest of the ONNX file and of the form of the global descriptor."""
-        return hashlib.sha256(self.content + repr(THUMBNAIL).encode()).hexdigest()
-
     def maps(self, images: UInt8Array) -> Float32Array:
-        """The network's features (n, channels * rows * columns) of prepared images (n, h, w, 3).
+        """The network's features (n, channels * rows * columns) of images (n, h, w, 3) of the input size.
 
         Images go in one by one: a batch is no quicker, and rounds otherwise than a stream's single images.
         """
         maps = [self._session.run([OUTPUT], {INPUT: image[None]})[0] for image in np.ascontiguousarray(images)]
         return np.concatenate(maps)
+
+    def describe(self, image: UInt8Array) -> npt.NDArray[np.float16]:
+        """Features (F,) of an image (h, w, 3) of any size, rounded as the cache keeps them.
+
+        The network's map, then a thumbnail of the image as its global descriptor: see :func:`feature_views`.
+        """
+        size = (self.config.width, self.config.height)
+        if image.shape[1::-1] != size:  # averaged where it shrinks
+            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        picture = thumbnail(image) * np.sqrt(_PICTURE)
+        return np.concatenate((self.maps(image[None])[0], picture)).astype(np.float16)
+
+    def features_of(self, image: UInt8Array) -> Float32Array:
+        """:meth:`describe` as (1, F), the same numbers as a data set's from the cache."""
+        return self.describe(image)[None].astype(np.float32)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +15,12 @@ from safetensors.numpy import save as save_tensors
 
 from conformodal.core.arrays import AnyArray, Float32Array, UInt8Array
 from conformodal.core.files import write_whole
+from conformodal.core.parallel import in_threads
 from conformodal.core.progress import Progress
 from conformodal.io import ImageChange, ImageError, read_image
 
 from .backbone import Backbone
 
-_BATCH, _AHEAD = 16, 3
 _DIGEST = "digest"
 
 
@@ -87,45 +85,19 @@ def extract_features(
     progress: Progress | None = None,
     noise: ImageChange | None = None,
 ) -> Float32Array:
-    """Features of images, (n, F), cached ones first; with `noise`, of the disturbed images.
+    """Features of images, (n, F); with `noise`, of the disturbed images.
 
     Values are rounded to float16 whether cached or not, so that both give the same numbers.
     """
-    vectors: list[npt.NDArray[np.float16]] = []
-    batches = [image_files[a : a + _BATCH] for a in range(0, len(image_files), _BATCH)]
-    with ThreadPoolExecutor(max_workers=2) as pool:  # decode ahead while the network is busy
-        ahead = [pool.submit(_load_batch, files, backbone, cache, noise) for files in batches[:_AHEAD]]
-        for number in range(len(batches)):
-            batch = ahead.pop(0).result()
-            if number + _AHEAD < len(batches):
-                ahead.append(pool.submit(_load_batch, batches[number + _AHEAD], backbone, cache, noise))
-            if batch.images:
-                described = backbone.describe(np.stack(list(batch.images.values())))
-                for i, vector in zip(batch.images, described, strict=True):
-                    batch.vectors[i] = vector
-                    cache.store(batch.keys[i], vector)
-            vectors += [batch.vectors[i] for i in range(len(batch.keys))]
-            if progress is not None:
-                progress(len(vectors), len(image_files))
-    return np.array(vectors, dtype=np.float32) if vectors else np.empty((0, 0), dtype=np.float32)
 
-
-@dataclass(frozen=True, eq=False)
-class _Batch:
-    """Cached vectors of some files, and prepared images of the others, by their number in the batch."""
-
-    keys: list[str]
-    vectors: dict[int, npt.NDArray[np.float16]]
-    images: dict[int, UInt8Array]
-
-
-def _load_batch(files: Sequence[Path], backbone: Backbone, cache: FeatureCache, noise: ImageChange | None) -> _Batch:
-    batch = _Batch([cache.key(backbone, file, noise) for file in files], {}, {})
-    for i, (file, key) in enumerate(zip(files, batch.keys, strict=True)):
-        cached = cache.load(key)
-        if cached is None:
+    def vector_of(file: Path) -> npt.NDArray[np.float16]:
+        key = cache.key(backbone, file, noise)
+        vector = cache.load(key)
+        if vector is None:
             image = read_image(file)
-            batch.images[i] = backbone.prepare(image if noise is None else noise.apply(image, file.name))
-        else:
-            batch.vectors[i] = cached
-    return batch
+            vector = backbone.describe(image if noise is None else noise.apply(image, file.name))
+            cache.store(key, vector)
+        return vector
+
+    vectors = in_threads(vector_of, image_files, progress)
+    return np.array(vectors, dtype=np.float32) if vectors else np.empty((0, 0), dtype=np.float32)

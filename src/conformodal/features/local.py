@@ -1,20 +1,19 @@
-"""Local features of an image by name, and its global descriptor for retrieval."""
+"""Local features of an image by name, its global descriptor for retrieval, and how good it is."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from dataclasses import dataclass
+from typing import NamedTuple, Self, TypeAlias
 
 import cv2
 import numpy as np
 
-from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import thumbnail
 from conformodal.io.decoding import grey_image
-
-from .image_quality import NOT_MEASURED, image_quality
 
 DESCRIPTOR_BYTES = 32
 MAX_CORNERS = 500
@@ -23,6 +22,11 @@ _BLUR_PX = 1.2  # before detection: pixel noise of a sigma of 0.2 then leaves de
 _LEAST_WIDTH_PX = 320  # smaller images are enlarged: descriptors look at 31 pixels around a corner
 _RATIO = 0.85  # of the distances to the nearest and the second nearest descriptor (Lowe 2004)
 _MOST_ALIKE = 8 * DESCRIPTOR_BYTES / 4  # product of equal rows, see _halves
+
+QUALITIES = ("brightness", "contrast", "detail")
+NOT_MEASURED: FloatArray = np.full(len(QUALITIES), np.nan)
+_MARGIN = 0.1  # of the range of each quality, at each end
+_DETAIL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
 
 
 class LocalFeatures(NamedTuple):
@@ -115,3 +119,32 @@ class Matcher:
 def _halves(descriptors: UInt8Array) -> Float32Array:
     """Bits as -0.5 and 0.5: a matrix product of such rows counts differing bits faster than a loop."""
     return np.unpackbits(descriptors, axis=1).astype(np.float32) - np.float32(0.5)
+
+
+def image_quality(grey: UInt8Array) -> FloatArray:
+    """(3,) :data:`QUALITIES` of a grey image (height, width), in grey levels.
+
+    Mean and standard deviation; and the mean response to a mask that edges do not pass (Immerkaer 1996): much of it is
+    noise, little of it is blur.
+    """
+    mean, spread = cv2.meanStdDev(grey)
+    detail = np.abs(cv2.filter2D(grey, cv2.CV_32F, _DETAIL)).mean()
+    return np.array([mean[0, 0], spread[0, 0], detail], dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class QualityRange:
+    """The least and the largest of each quality, (3,), that known images have, or nearly."""
+
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, qualities: FloatArray) -> Self:
+        """Of images with these qualities (n, 3), widened a little, so that images like them are rarely beyond."""
+        low, high = qualities.min(axis=0), qualities.max(axis=0)
+        return cls(low - _MARGIN * (high - low), high + _MARGIN * (high - low))
+
+    def left_by(self, qualities: FloatArray) -> BoolArray:
+        """(n,) whether a quality (n, 3) is out of range; False where it was not measured."""
+        return np.asarray(((qualities < self.low) | (qualities > self.high)).any(axis=1))

@@ -47,5 +47,5 @@ class FrameEvidence:
 
     @property
     def quality(self) -> FloatArray:
-        """(n, 3) :func:`~conformodal.features.image_quality.image_quality` of images with local features."""
+        """(n, 3) :func:`~conformodal.features.local.image_quality` of images with local features."""
         return np.array([features.quality for features in self.local_features])

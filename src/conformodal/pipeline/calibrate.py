@@ -21,7 +21,7 @@ from conformodal.core.parallel import in_threads, raise_if_cancelled
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.features.backbone import Backbone
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.features.image_quality import QualityRange
+from conformodal.features.local import QualityRange
 from conformodal.geometry import RelativeMotion
 from conformodal.io import Disturbance, Recording
 from conformodal.localizer.belief import Beliefs, belief_cells

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Self
 
@@ -12,8 +11,7 @@ from conformodal.conformal.calibrators.base import Joint
 from conformodal.conformal.checks import as_alpha, as_choice
 from conformodal.conformal.scores import resolve_score
 from conformodal.core.ranges import as_member, check_ranges, check_shares
-from conformodal.features.networks.registry import check_network
-from conformodal.features.settings import TrainingConfig, check_device
+from conformodal.features.settings import TrainingConfig, check_network
 from conformodal.io import SplitKind
 from conformodal.localizer.sources.registry import find_source
 
@@ -32,14 +30,6 @@ class Calibration(StrEnum):
     AUTO = "auto"
     FRAMES = "frames"
     STRETCHES = "stretches"
-
-
-class Runtime(StrEnum):
-    """What runs the network."""
-
-    ONNX = "onnx"  # ONNX Runtime on the CPU; the model contains the network and needs no torch
-    INT8 = "int8"  # the same with weights and activations in eight bits
-    TORCH = "torch"  # on the CPU, or on a graphics card in training
 
 
 class Method(StrEnum):
@@ -78,12 +68,7 @@ class ModelConfig:
         Names of pose sources, in the order in which they are fused, see
         :class:`~conformodal.localizer.sources.registry.PoseSource`.
     network
-        Of :data:`~conformodal.features.networks.registry.NETWORKS`, or ``hf:NAME``.
-    device
-        Of the network, in training: ``cpu``, ``cuda``, or ``auto``.
-    runtime
-        See :class:`~conformodal.pipeline.config.Runtime`. It computes the features in training too, so that the
-        guarantee is about what runs.
+        Of :data:`~conformodal.features.settings.NETWORKS`, or ``hf:NAME``.
     seed
         Of the split and of training.
     training
@@ -110,8 +95,6 @@ class ModelConfig:
     novelty_level: float | None = None
     sources: tuple[str, ...] = ("head", "neighbours", "landmarks")
     network: str = "efficientnet_lite0"
-    device: str = "auto"
-    runtime: Runtime = Runtime.ONNX
     seed: int = 0
     training: TrainingConfig = field(default_factory=TrainingConfig)
 
@@ -125,7 +108,6 @@ class ModelConfig:
         resolve_score(self.score)
         QuantileBins(self.n_bins, self.margin).check_parameters()
         check_network(self.network)
-        check_device(self.device)
         if not self.sources or len(set(self.sources)) < len(self.sources):
             raise OdometryError(f"sources must be different names, at least one, got {self.sources}")
         for name in self.sources:
@@ -158,7 +140,6 @@ _CHOICES: dict[str, type[StrEnum]] = {
     "method": Method,
     "split": SplitKind,
     "calibrate_on": Calibration,
-    "runtime": Runtime,
 }
 # Settings that define the paper's system.
 _PAPER: dict[str, Any] = {
@@ -177,10 +158,3 @@ def record_of(config: ModelConfig, data: str, n_frames: int, calibrate_on: str) 
     names = {"method": str(config.method), "split": str(config.split), "calibrate_on": calibrate_on}
     fixed = {k: v for k, v in asdict(config).items() if k not in ("alpha", "novelty_level")}
     return {**fixed, **names, "data": data, "n_frames": n_frames}
-
-
-def config_of(record: Mapping[str, Any]) -> ModelConfig:
-    """The settings of a model, from :attr:`~conformodal.pipeline.model.PoseModel.settings`."""
-    settings = {f.name: record[f.name] for f in fields(ModelConfig) if f.name in record}
-    kinds: dict[str, Callable[[Any], Any]] = {"sources": tuple, "training": lambda training: TrainingConfig(**training)}
-    return ModelConfig(**{k: kinds[k](v) if k in kinds else v for k, v in settings.items()})

@@ -15,7 +15,7 @@ from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 from conformodal.core.ranges import as_member, check_ranges
 from conformodal.core.words import counted
 from conformodal.features.backbone import Backbone
-from conformodal.features.image_quality import QualityRange
+from conformodal.features.local import QualityRange
 from conformodal.geometry import PinholeCamera
 from conformodal.io import Split, SplitKind
 from conformodal.localizer.belief import Beliefs

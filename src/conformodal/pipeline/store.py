@@ -21,11 +21,11 @@ from safetensors.numpy import save as save_tensors
 
 from conformodal.conformal import NoveltyTest, QuantileBins, SplitConformal
 from conformodal.core.arrays import AnyArray
-from conformodal.core.extras import MissingPackageError, require_extra
+from conformodal.core.extras import MissingPackageError
 from conformodal.core.files import write_whole
 from conformodal.core.words import finite_or_none
-from conformodal.features.backbone import Backbone, BackboneConfig, OnnxBackbone
-from conformodal.features.image_quality import QualityRange
+from conformodal.features.backbone import Backbone, BackboneConfig
+from conformodal.features.local import QualityRange
 from conformodal.geometry import PinholeCamera
 from conformodal.io import Split
 from conformodal.localizer.localizer import Localizer
@@ -86,9 +86,8 @@ def save_model(model: PoseModel, folder: Path) -> None:
     states = {source.name: source.state() for source in model.localizer.sources}
     arrays = {f"source.{name}.{k}": v for name, state in states.items() for k, v in state.arrays.items()}
     arrays |= {k: v for k, v in _arrays(model).items() if v is not None}
-    contents = {"weights": save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})}
-    if isinstance(model.backbone, OnnxBackbone):
-        contents["network"] = model.backbone.content
+    weights = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
+    contents = {"weights": weights, "network": model.backbone.content}
     record: dict[str, Any] = {
         "format": FORMAT,
         "backbone": asdict(model.backbone.config),
@@ -107,7 +106,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "configuration": model.configuration,
         "radius": None if model.radius is None else _finite(asdict(model.radius)),
         "comparison": None if model.comparison is None else asdict(model.comparison),
-        **{name: hashlib.sha256(contents[name]).hexdigest() if name in contents else None for name in _FILES},
+        **{name: hashlib.sha256(contents[name]).hexdigest() for name in _FILES},
     }
     record["sha256"] = _digest(record)
     for name, content in contents.items():
@@ -115,7 +114,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
     write_whole(folder / _JSON, json.dumps(record, indent=1) + "\n")
     for name, pattern in _FILES.items():  # of an earlier model
         for path in folder.glob(pattern.format("*")):
-            if record[name] is None or path != _path(folder, name, record[name]):
+            if path != _path(folder, name, record[name]):
                 path.unlink(missing_ok=True)
 
 
@@ -252,18 +251,9 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path)
 
 def _backbone(record: dict[str, Any], folder: Path) -> Backbone:
     config = BackboneConfig(**{**record["backbone"], "grid": tuple(record["backbone"]["grid"])})
-    if record["network"] is not None:
-        return OnnxBackbone(config, _read(_path(folder, "network", record["network"]), record["network"]))
-    with require_extra("train", f"{folder}: a model that runs its network in torch"):
-        from conformodal.features.networks.torch_backbone import TorchBackbone  # noqa: PLC0415
-
-    backbone = TorchBackbone(config)
-    if backbone.fingerprint != record["backbone_fingerprint"]:
-        raise ModelFileError(
-            f"{folder}: was trained on features of {config.name} in another version; install the one that made it, or "
-            "train again"
-        )
-    return backbone
+    if record["network"] is None:
+        raise ModelFileError(f"{folder}: holds no network in ONNX. Train the model again")
+    return Backbone(config, _read(_path(folder, "network", record["network"]), record["network"]))
 
 
 def _numbered(arrays: dict[str, AnyArray], name: str) -> list[AnyArray]:

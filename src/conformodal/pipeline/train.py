@@ -9,7 +9,6 @@ import numpy as np
 from conformodal.core.extras import require_extra
 from conformodal.core.parallel import side_by_side
 from conformodal.core.progress import StageProgress, stage_of
-from conformodal.features.backbone import Backbone
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.geometry import RelativeMotion, sign_reference
 from conformodal.io import Recording, make_split, with_random_calibration
@@ -28,7 +27,7 @@ from .calibrate import (
     compare_sources,
     paper_rules,
 )
-from .config import Method, ModelConfig, Runtime, record_of
+from .config import Method, ModelConfig, record_of
 from .folds import Folds, make_folds
 from .identity import identify
 from .model import PoseModel
@@ -49,19 +48,15 @@ def prepare_training_data(
     ImageError
         If an image cannot be read; names the file.
     VisionError
-        If the device is not available.
+        If the network is not on this machine, or cannot be exported to ONNX.
     MissingPackageError
         If what training needs is not installed.
     """
     with require_extra("train", "training"):
-        from conformodal.features.export import exported, quantised  # noqa: PLC0415
-        from conformodal.features.networks.torch_backbone import (  # noqa: PLC0415
-            TorchBackbone,
-            backbone_config,
-            pick_device,
-        )
+        from conformodal.features.export import make_backbone  # noqa: PLC0415
+        from conformodal.features.networks import backbone_config  # noqa: PLC0415
 
-    device, truth = pick_device(config.device), sequence.require_truth()
+    truth = sequence.require_truth()
     split = make_split(
         sequence.recording,
         config.split,
@@ -74,19 +69,13 @@ def prepare_training_data(
     if config.method is Method.PAPER:
         split = with_random_calibration(split, config.calibration / (config.used or 1 - config.test))
     size = sequence.camera.width, sequence.camera.height
-    backbone = TorchBackbone(backbone_config(*size, config.network, whole=config.method is Method.PAPER))
+    network = backbone_config(*size, config.network, whole=config.method is Method.PAPER)
+    backbone = make_backbone(network, cache)
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])
     targets = pose_targets(truth, reference)
-    backbone.to(device)
-    runs: Backbone = backbone
-    if config.runtime is not Runtime.TORCH:
-        runs = in_onnx = exported(backbone, cache)
-        if config.runtime is Runtime.INT8:
-            known = [sequence.image_paths[i] for i in split.train]
-            runs = quantised(in_onnx, known, cache, stage_of(progress, "quantising"))
     stage = stage_of(progress, "features")
-    features = extract_features(sequence.image_paths, runs, cache, stage, sequence.noise)
-    return TrainingData(sequence, split, runs, features, targets, reference, cache)
+    features = extract_features(sequence.image_paths, backbone, cache, stage, sequence.noise)
+    return TrainingData(sequence, split, backbone, features, targets, reference, cache)
 
 
 def train_model(

@@ -9,7 +9,7 @@ from conformodal.core.arrays import Float32Array, FloatArray, IntArray
 from conformodal.core.progress import StageProgress
 from conformodal.features.backbone import Backbone
 from conformodal.features.extract import FeatureCache
-from conformodal.features.projection import Projection
+from conformodal.features.head import Projection
 from conformodal.io import Recording, Split
 from conformodal.localizer.sources.registry import SourceData
 

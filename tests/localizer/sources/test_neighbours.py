@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from sklearn.linear_model import Ridge
 
-from conformodal.features.projection import Projection
+from conformodal.features.head import Projection
 from conformodal.localizer.sources.neighbours import LocalRegression, LocalSettings, fit_local
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from conformodal.core.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray, Rows, evenly_spread
 from conformodal.core.progress import Progress, stage_of
 from conformodal.features.backbone import feature_views
-from conformodal.features.projection import Projection, fit_projection
+from conformodal.features.head import Projection, fit_projection
 from conformodal.geometry import angle_between_quats, normalise_quat
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.measurement import ErrorModel, HeldOutErrors, PoseMeasurement, fit_error_model

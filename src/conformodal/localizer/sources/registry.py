@@ -21,8 +21,8 @@ from conformodal.core.parallel import in_threads
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.ranges import as_member
 from conformodal.features.backbone import at_unit_length, coarse_features, feature_views
+from conformodal.features.head import Projection, fit_projection
 from conformodal.features.local import LocalFeatures, Matcher
-from conformodal.features.projection import Projection, fit_projection
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Recording, SplitKind, held_out_together
 from conformodal.localizer.errors import LocalizationError

@@ -1,1 +1,0 @@
-"""Networks by name, in torch; running a trained model does not need them."""

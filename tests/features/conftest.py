@@ -1,0 +1,19 @@
+import pytest
+
+from conformodal.features.backbone import BackboneConfig
+from conformodal.features.export import make_backbone
+from conformodal.features.extract import FeatureCache
+from conformodal.features.networks import Network
+
+CONFIG = BackboneConfig(width=96, height=64, grid=(2, 3))
+
+
+@pytest.fixture(scope="session")
+def network():
+    return Network(CONFIG)
+
+
+@pytest.fixture(scope="session")
+def backbone():
+    """The same network in ONNX."""
+    return make_backbone(CONFIG, FeatureCache(None))
