@@ -1,5 +1,3 @@
-import json
-
 import numpy as np
 import pytest
 
@@ -31,7 +29,7 @@ def test_a_frame_is_told_by_its_region_and_its_pose(parts, position, truth, kind
     evidence = EvidenceType.UNKNOWN if kind == "unknown place" else EvidenceType.LANDMARKS
     record = region_record("f", 0.0, None, [*parts, *[LINE] * 4], 0.00312, evidence)
     here, there = (None if at is None else Trajectory([0.0], [at], [[1.0, 0, 0, 0]]) for at in (position, truth))
-    (shown,) = json.loads(make_viewer([record], {"smoothed": here}, there)["json"])["frames"]
+    (shown,) = make_viewer([record], {"smoothed": here}, there)["data"]["frames"]
     assert kind_of(shown) == kind
     for fact in facts:
         assert fact in shown["say"]

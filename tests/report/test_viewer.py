@@ -110,7 +110,7 @@ def test_a_frame_that_shows_no_known_place_has_no_box():
     ]
     viewer = make_viewer(records, {"smoothed": one}, level=0.01)
     assert viewer["known"]
-    data = json.loads(viewer["json"])
+    data = viewer["data"]
     assert data["level"] == 0.01
     known, unknown = data["frames"]
     assert (known["kp"], known["ev"], known["whole"], known["ok"]) == (0.43, "landmarks", False, True)

@@ -32,8 +32,6 @@ class FeatureViews(NamedTuple):
 def feature_views(n_features: int) -> FeatureViews:
     """The parts of a :class:`Backbone`'s features."""
     cut = n_features - _PICTURE
-    if cut < 1:
-        raise VisionError(f"features end in a thumbnail of {_PICTURE} numbers, got {n_features} in all")
     return FeatureViews(slice(0, cut), slice(cut, n_features), slice(0, n_features))
 
 
@@ -44,8 +42,6 @@ def coarse_features(features: Float32Array, grid: tuple[int, int]) -> Float32Arr
     """
     rows, columns = grid
     network = features[:, feature_views(features.shape[1]).network]
-    if network.shape[1] % (rows * columns):
-        raise VisionError(f"a map of {rows} by {columns} cells cannot have {network.shape[1]} features")
     maps = network.reshape(len(features), -1, rows, columns)
     maps = np.pad(maps, ((0, 0), (0, 0), (0, rows % 2), (0, columns % 2)), mode="edge")
     cells = maps.reshape(*maps.shape[:2], (rows + 1) // 2, 2, (columns + 1) // 2, 2)

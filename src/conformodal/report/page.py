@@ -73,4 +73,5 @@ def render_page(path: Path, template: str, **content: Any) -> None:
     """Write a page; what is put into it is escaped unless the template says that it is safe."""
     environment = Environment(loader=PackageLoader("conformodal.report"), autoescape=True, trim_blocks=True)
     environment.filters["counted"] = counted
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ": ")}  # a run has a thousand frames
     write_whole(path, environment.get_template(f"{template}.html.j2").render(**content))

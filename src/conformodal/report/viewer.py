@@ -1,12 +1,9 @@
-"""The part of the page that moves: the records of a run, frame by frame, and sentences about each and about all."""
+"""The part of the page that moves: the records of a run, frame by frame, and a sentence about each."""
 
 from __future__ import annotations
 
 import base64
-import json
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from itertools import islice, product
 from math import inf
 from typing import Any
@@ -16,7 +13,7 @@ import numpy as np
 from conformodal.core.arrays import FloatArray, UInt8Array
 from conformodal.core.extras import require_extra
 from conformodal.core.words import counted
-from conformodal.geometry import Trajectory, angle_between_quats, trajectory_errors
+from conformodal.geometry import Trajectory, angle_between_quats
 from conformodal.localizer.region_rules import EvidenceType
 from conformodal.pipeline.model import ONLINE
 from conformodal.pipeline.results import records_hold
@@ -27,8 +24,6 @@ with require_extra("run", "a page of results"):
 MOST_FRAMES = 1000
 _WIDTH, _QUALITY = 200, 60  # of a thumbnail
 _MOST_BOXES = 64  # of a region that is a product
-# In this order they are one script; a later one uses names of the earlier ones.
-_SCRIPTS = ("data", "drawing", "plan", "space", "charts", "words", "player")
 
 Intervals = list[list[float | None]]  # an end that is None has no bound
 
@@ -77,8 +72,7 @@ def make_viewer(
         (2, 2) segments, drawn where the plan shows x and y.
     """
     n, images = len(records), images or {}
-    answer = next(iter(trajectories.values()))
-    classical, online = trajectories.get("classical"), trajectories.get(ONLINE)
+    answer, classical = next(iter(trajectories.values())), trajectories.get("classical")
     truth = truth if truth is not None and len(truth) == n else None
     frames = [_region_of(record) for record in records]
     _add_poses(frames, answer, truth, classical)
@@ -92,12 +86,6 @@ def make_viewer(
     shown = [frame for i, frame in enumerate(frames) if (frame["n"] in images if images else i % stride == 0)]
     for frame in shown if images else ():
         frame["img"] = base64.b64encode(images[frame["n"]]).decode()
-    bounded = np.array([truth is not None and frame["size"] is not None for frame in frames])
-    rmse_m = {}
-    if truth is not None:
-        if online is not None:
-            rmse_m["when a frame comes"] = trajectory_errors(online, truth)["rmse_m"]
-        rmse_m["as shown here"] = trajectory_errors(answer, truth)["rmse_m"]
     flat = sorted(np.argsort(-np.ptp(answer.positions_xyz, axis=0))[:2].tolist())
     data = {
         "frames": shown,
@@ -109,15 +97,13 @@ def make_viewer(
         "walls": [np.round(wall, 3).tolist() for wall in walls] if flat == [0, 1] else [],
     }
     return {
-        "json": json_in_script(data),
-        "script": _script(),
-        "text": _describe_run(frames, int(bounded.sum()), int(holds_truth[bounded].sum()), rmse_m),
+        "data": data,
         "note": "" if len(shown) == n else f"{len(shown)} of {counted(n, 'frame')} are shown, evenly spread.",
         "n_shown": len(shown),
         "has_images": bool(images),
         "truth": truth is not None,
         "classical": classical is not None,
-        "online": online is not None,
+        "online": ONLINE in trajectories,
         "known": any(frame["kp"] is not None for frame in shown),
         "path_places": any("pb" in frame for frame in shown),
     }
@@ -197,17 +183,6 @@ def kind_of(frame: dict[str, Any]) -> str:
     return "empty" if not n_places else "one place" if n_places == 1 else "several places"
 
 
-def _describe_run(frames: list[dict[str, Any]], n_bounded: int, n_held: int, rmse_m: Mapping[str, float]) -> str:
-    """The whole run in words: frames by :func:`kind_of`, bounded regions that hold the truth, and RMSE by name."""
-    kinds = Counter(kind_of(frame) for frame in frames)
-    lines = [f"{counted(len(frames), 'frame')}: {', '.join(f'{kind} in {n}' for kind, n in kinds.items())}."]
-    if n_bounded:
-        lines.append(f"{n_held} of {counted(n_bounded, 'bounded region')} contain the true pose.")
-    if rmse_m:
-        lines.append(f"Position RMSE: {', '.join(f'{value:.3f} m {name}' for name, value in rmse_m.items())}.")
-    return " ".join(lines)
-
-
 def _describe_frame(frame: dict[str, Any], *, holds_pose: bool) -> str:
     """A frame in words: the region first, then the chosen pose."""
     kind = kind_of(frame)
@@ -224,16 +199,3 @@ def _describe_frame(frame: dict[str, Any], *, holds_pose: bool) -> str:
         held = f", which the region {'contains' if frame['held'] else 'misses'}" if bounded else ""
         lines.append(f"The chosen pose is {frame['err']:.3f} m and {frame['deg']:.2f} degrees from the true one{held}.")
     return " ".join(lines)
-
-
-def json_in_script(data: Any) -> str:
-    """JSON for a script element of a page: no name in it can end the element, or hide what follows in a comment."""
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)  # ASCII, so without line separators of Unicode
-    return text.translate({ord(c): f"\\u{ord(c):04x}" for c in "<>&"})
-
-
-def _script() -> str:
-    """The files of the script as one function, so that none of its names is the page's."""
-    folder = files("conformodal.report").joinpath("templates", "viewer")
-    parts = [folder.joinpath(f"{name}.js").read_text(encoding="utf-8") for name in _SCRIPTS]
-    return "\n".join(['"use strict";', "(() => {", *parts, "})();"])

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,7 @@ from conformodal.geometry import Trajectory
 from conformodal.io.streams.frames import Frame
 from conformodal.pipeline.estimates import Estimate
 
-from .conversion import IMAGE, TOPICS, TRUTH, Conventions, Conversion, RosError, nanoseconds
+from .conversion import IMAGE, TOPICS, TRUTH, Conventions, Conversion, nanoseconds
 
 _VERSION = 8  # of the format: Humble reads it too
 _JPEG_QUALITY = 80
@@ -40,7 +38,7 @@ class BagWriter:
     ------
     MissingPackageError
         If rosbags is not installed.
-    RosError
+    OSError
         If the file cannot be written.
     """
 
@@ -54,24 +52,16 @@ class BagWriter:
         self._recording: int | None = None
         self._last_ns: int | None = None
         self._types = {**TOPICS, **TRUTH, **(IMAGE if images else {})}
-        with self._naming_errors():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._scratch = tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent)
-            self._folder = Path(self._scratch.name) / "bag"
-            self._writer: Any = Writer(self._folder, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
-            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-            self._writer.open()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._scratch = tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent)
+        self._folder = Path(self._scratch.name) / "bag"
+        self._writer: Any = Writer(self._folder, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
+        self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        self._writer.open()
         topic, store = self._conversion.how.topic, self._store
         self._connections = {
             name: self._writer.add_connection(topic(name), kind, typestore=store) for name, kind in self._types.items()
         }
-
-    @contextmanager
-    def _naming_errors(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as exc:
-            raise RosError(f"{self.path}: cannot be written: {exc}") from exc
 
     def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
         """Write a frame and its estimate; `truth` is a trajectory of one pose, or None."""
@@ -100,11 +90,10 @@ class BagWriter:
         Without a single frame no file is written, and an existing one stays.
         """
         try:
-            with self._naming_errors():
-                self._write_path()
-                self._writer.close()
-                for written in self._folder.glob("*.mcap") if self._last_ns is not None else ():
-                    written.replace(self.path)
+            self._write_path()
+            self._writer.close()
+            for written in self._folder.glob("*.mcap") if self._last_ns is not None else ():
+                written.replace(self.path)
         finally:
             self._writer.abort()
             self._scratch.cleanup()
@@ -115,5 +104,4 @@ class BagWriter:
 
     def _write(self, name: str, message: Any) -> None:
         data = self._store.serialize_cdr(message, self._types[name])
-        with self._naming_errors():
-            self._writer.write(self._connections[name], self._last_ns, data)
+        self._writer.write(self._connections[name], self._last_ns, data)

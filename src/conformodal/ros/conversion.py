@@ -53,7 +53,7 @@ _OK, _WARN, _ERROR = 0, 1, 2
 
 
 class RosError(ConformodalError):
-    """Something that ROS messages cannot hold, or a recording that cannot be written."""
+    """Something that ROS messages cannot hold, or a parameter that the node cannot use."""
 
 
 @dataclass(frozen=True)
