@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
-from typing import Any, Self, TypeAlias
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -29,18 +28,16 @@ def rows_by_label(labels: AnyArray) -> list[IntArray]:
     return [np.flatnonzero(labels == label) for label in np.unique(labels)]
 
 
-def _names(table: Any) -> list[str]:
-    return [field.name for field in fields(table)]
-
-
 class Rows:
     """A dataclass whose fields are arrays of as many rows."""
+
+    __match_args__: ClassVar[tuple[str, ...]]  # names of the fields
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:
         """The rows of one part after another."""
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in _names(cls)))
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__match_args__))
 
     def take(self, rows: IntArray | BoolArray | slice) -> Self:
         """Some of the rows, in the order of `rows`."""
-        return type(self)(*(getattr(self, name)[rows] for name in _names(self)))
+        return type(self)(*(getattr(self, name)[rows] for name in self.__match_args__))

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, TypeVar
 from .errors import ConformodalError
 
 Member = TypeVar("Member", bound=Enum)
-_LONGEST = 80  # characters of a refused value that a message repeats
 
 
 class Range(NamedTuple):
@@ -77,4 +76,4 @@ def as_member(
         return choices(value)
     except (ValueError, TypeError):
         names = ", ".join(str(member.value) for member in choices)
-        raise error(f"{argument} must be one of {names}, got {' '.join(repr(value).split())[:_LONGEST]}") from None
+        raise error(f"{argument} must be one of {names}, got {value!r}") from None

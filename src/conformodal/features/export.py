@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 import torch
@@ -38,8 +36,9 @@ def _export(network: Network) -> bytes:
     with require_extra("train", "the export of a network"):
         import onnxscript  # noqa: F401, PLC0415 - torch asks for it
     two = torch.zeros((2, network.config.height, network.config.width, 3), dtype=torch.uint8)
+    logging.disable(logging.WARNING)  # advice on packages that are not needed
     try:
-        with _quiet():
+        with warnings.catch_warnings(action="ignore"):
             program = torch.onnx.export(
                 network,
                 (two,),
@@ -52,6 +51,8 @@ def _export(network: Network) -> bytes:
             )
     except Exception as exc:  # whatever torch and onnxscript raise
         raise VisionError(f"{network.config.name} cannot be exported to ONNX: {exc}") from exc
+    finally:
+        logging.disable(logging.NOTSET)
     assert program is not None
     model = program.model_proto
     model.ir_version = IR_VERSION
@@ -66,16 +67,3 @@ def _check_same(network: Network, made: Backbone) -> None:
     expected, maps = network.maps(images), made.maps(images)
     if expected.shape != maps.shape or np.abs(maps - expected).max() > _TOLERANCE * np.abs(expected).max():
         raise VisionError(f"{network.config.name} answers otherwise when exported to ONNX")
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Hide the exporter's advice on packages that are not needed."""
-    previous = logging.root.manager.disable
-    logging.disable(logging.WARNING)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logging.disable(previous)

@@ -80,10 +80,6 @@ class Head(nn.Module):
         weights = {name: value.detach().numpy().copy() for name, value in self.state_dict().items()}
         return SoftmaxHead(weights, self.outputs)
 
-    def split(self, raw: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """One (n, K_j) block per target."""
-        return torch.split(raw, self.outputs, dim=1)
-
 
 # From a head, its raw outputs and the targets of a batch to one number.
 Loss: TypeAlias = Callable[[Head, torch.Tensor, torch.Tensor], torch.Tensor]
@@ -94,7 +90,7 @@ def soft_cross_entropy(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> 
     if len(set(head.outputs)) == 1:  # one call for all targets is quicker than seven
         k = head.outputs[0]
         return torch.nn.functional.cross_entropy(raw.reshape(-1, k), targets.reshape(-1, k))
-    blocks = zip(head.split(raw), torch.split(targets, head.outputs, dim=1), strict=True)
+    blocks = zip(*(torch.split(whole, head.outputs, dim=1) for whole in (raw, targets)), strict=True)
     return torch.stack([torch.nn.functional.cross_entropy(r, t) for r, t in blocks]).mean()
 
 
