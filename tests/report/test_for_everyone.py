@@ -53,7 +53,7 @@ def pages(make_run, tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (1280, "dark"), (380, "light"), (320, "light")])
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (1280, "dark"), (320, "light")])
 def test_everything_stands_out_has_a_name_and_fits_the_window(opened, pages, kind, width, scheme):
     page = opened(pages[kind], scheme=scheme, size=(width, 800))
     for detail in page.locator("summary").all():
@@ -119,7 +119,7 @@ def test_it_plays_once_when_opened_and_stops_at_the_end(opened, make_run, tmp_pa
     assert (where(page), page.inner_text("#play")) == (6, "Play")
 
 
-def test_sentences_follow_the_frame_and_are_not_called_out_one_upon_the_other(opened, pages):
+def test_sentences_follow_the_frame(opened, pages):
     page = opened(pages["run"])
     frames = json.loads(page.text_content("#viewer-data"))["frames"]
     for i in (0, 7, 40):
@@ -130,17 +130,3 @@ def test_sentences_follow_the_frame_and_are_not_called_out_one_upon_the_other(op
             "(say) => document.getElementById('heard').textContent.includes(say)", arg=frames[i]["say"]
         )
     assert page.get_attribute("#heard", "aria-live") == "polite"
-    page.evaluate(
-        """() => {
-            window.heard = 0;
-            new MutationObserver(() => window.heard++).observe(document.getElementById("heard"), {childList: true});
-        }"""
-    )
-    page.select_option("#speed", "4")
-    page.fill("#scrub", "0")
-    page.click("#play")
-    page.wait_for_function("Number(document.getElementById('scrub').value) > 35", timeout=10_000)
-    assert page.evaluate("window.heard") <= 2
-    page.click("#play")
-    page.wait_for_timeout(700)
-    assert frames[where(page)]["say"] in page.inner_text("#heard")

@@ -78,7 +78,7 @@ CODES = {"float64": "d", "float32": "f", "uint8": "B", "byte": "B"}
 
 
 class Messages:
-    """Classes of messages made from the definitions that rosbags has."""
+    """Classes of messages, made from the definitions that rosbags has, as strict about what they get as ROS's own."""
 
     def __init__(self):
         from rosbags.typesys import Stores, get_typestore
@@ -87,46 +87,38 @@ class Messages:
 
     def of(self, kind):
         if kind not in self.classes:
-            definitions = self.store.fielddefs[kind][1]
-            self.classes[kind] = type(kind.rpartition("/")[2], (), {"__init__": self.constructor(definitions)})
+            fields = self.store.fielddefs[kind][1]
+
+            def construct(this, **given):
+                assert set(given) <= {name for name, _ in fields}, given
+                for name, (node, what) in fields:
+                    assert name not in given or self.fits(given[name], int(node), what), (name, given[name], what)
+                    setattr(this, name, given[name] if name in given else self.default(int(node), what))
+
+            self.classes[kind] = type(kind.rpartition("/")[2], (), {"__init__": construct})
         return self.classes[kind]
-
-    def constructor(self, definitions):
-        def construct(this, **given):
-            assert set(given) <= {name for name, _ in definitions}, given
-            for name, (node, what) in definitions:
-                if name in given:
-                    self.check(given[name], int(node), what)
-                setattr(this, name, given[name] if name in given else self.default(int(node), what))
-
-        return construct
 
     def default(self, node, what):
         if node == 1:
             return b"\0" if what[0] == "byte" else BASES.get(what[0], int)()
         if node == 2:
             return self.of(what)()
-        base = what[0][1]
+        (of, name), length = what
         if node == 3:
-            return np.zeros(what[1])
-        return [] if int(what[0][0]) == 2 or base[0] == "string" else array(CODES[base[0]])
+            return np.zeros(length)
+        return [] if int(of) == 2 or name[0] == "string" else array(CODES[name[0]])
 
-    def check(self, value, node, what):
+    def fits(self, value, node, what):
         if node == 1:
-            kind = BASES.get(what[0], int)
-            assert type(value) is kind, (value, what)
-            assert kind is not bytes or len(value) == 1
-        elif node == 2:
-            assert type(value) is self.of(what), (value, what)
-        elif int(what[0][0]) == 2:
-            assert isinstance(value, list)
-            assert all(type(item) is self.of(what[0][1]) for item in value)
-        elif node == 3:
-            assert isinstance(value, np.ndarray)
-            assert (value.dtype, value.shape) == (np.float64, (what[1],))
-        else:
-            assert isinstance(value, array)
-            assert value.typecode == CODES[what[0][1][0]]
+            return type(value) is BASES.get(what[0], int)
+        if node == 2:
+            return type(value) is self.of(what)
+        (of, name), length = what
+        if int(of) == 2:
+            return isinstance(value, list) and all(type(item) is self.of(name) for item in value)
+        if node == 3:
+            return isinstance(value, np.ndarray) and (value.dtype, value.shape) == (np.float64, (length,))
+        return isinstance(value, array) and value.typecode == CODES[name[0]]
 
 
 class Node:

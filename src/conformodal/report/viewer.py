@@ -60,16 +60,9 @@ def make_viewer(
 ) -> dict[str, Any]:
     """What the template of a run's viewer needs; of long runs, it shows at most a thousand frames, evenly spread.
 
-    Parameters
-    ----------
-    records, trajectories, truth
-        Of all frames; the first trajectory is the answer. A truth of some of the frames is not shown.
-    images
-        JPEG data by frame name: where there are some, the frames shown are among these.
-    level
-        The p-value at or below which an image shows no known place.
-    walls
-        (2, 2) segments, drawn where the plan shows x and y.
+    The first trajectory is the answer. A truth of some of the frames is not shown. `images` are JPEG data by frame
+    name: where there are some, the frames shown are among these. `level` is the p-value at or below which an image
+    shows no known place; `walls` are (2, 2) segments, drawn where the plan shows x and y.
     """
     n, images = len(records), images or {}
     answer, classical = next(iter(trajectories.values())), trajectories.get("classical")

@@ -23,23 +23,8 @@ class BagWriter:
     """Writes one MCAP file with the messages of every frame of a run.
 
     ROS and Foxglove play an MCAP file by itself, without the rest of the folder that a ROS 2 bag is. It is written to a
-    temporary folder beside its place, and moved there by :meth:`close`.
-
-    Parameters
-    ----------
-    path
-        Of the file, ``.mcap``; an existing one is replaced.
-    how
-        Names and limits.
-    images
-        Write images too, as JPEG.
-
-    Raises
-    ------
-    MissingPackageError
-        If rosbags is not installed.
-    OSError
-        If the file cannot be written.
+    temporary folder beside its place `path`, and moved there by :meth:`close`. `how` has names and limits; with
+    `images`, images are written too, as JPEG.
     """
 
     def __init__(self, path: Path, how: Conventions | None = None, *, images: bool = False) -> None:
