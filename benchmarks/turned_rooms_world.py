@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-import trimesh
 from scipy.spatial.transform import Rotation
 
 from conformodal.corridor.flight import Waypoint, fly
@@ -24,7 +23,6 @@ from conformodal.corridor.world import (  # fmt: skip
     Building,
     Panel,
     Vector,
-    mesh_of,
     room,
 )
 from conformodal.geometry import Trajectory
@@ -40,13 +38,11 @@ class TurnedRooms(Building):
 
     seed: int = 0
     panels: list[Panel] = field(init=False, repr=False)
-    mesh: trimesh.Trimesh = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         half = _half()
         poster = Panel((-0.65, LOBBY_Y - 0.02, 0.9), (1.3, 0, 0), (0, 0, 1.2), "poster")
         self.panels = [*half, *(_moved(panel, 2) for panel in half), poster]
-        self.mesh = mesh_of(self.panels)
 
     def repetitions(self, T_world_cam: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """The pose after a half-turn, (1, 4, 4)."""

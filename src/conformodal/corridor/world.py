@@ -8,7 +8,6 @@ y across it towards the rooms, z up; metres; the floor is z = 0.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,7 +42,15 @@ class Building(ABC):
 
     seed: int  # of its textures
     panels: list[Panel]
-    mesh: trimesh.Trimesh  # panel i is faces 2 i and 2 i + 1
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """Two triangles per panel: panel i is faces 2 i and 2 i + 1."""
+        corner, u, v = (np.array([getattr(p, name) for p in self.panels]) for name in ("corner", "u", "v"))
+        vertices = np.stack((corner, corner + u, corner + u + v, corner + v), axis=1).reshape(-1, 3)
+        quad = np.array([[0, 1, 2], [0, 2, 3]])
+        faces = (quad[None] + 4 * np.arange(len(self.panels))[:, None, None]).reshape(-1, 3)
+        return trimesh.Trimesh(vertices, faces, process=False)
 
     @abstractmethod
     def repetitions(self, T_world_cam: FloatArray) -> FloatArray:
@@ -67,15 +74,6 @@ def box(corner: Vector, size: Vector, material: str) -> list[Panel]:
     ]
 
 
-def mesh_of(panels: Sequence[Panel]) -> trimesh.Trimesh:
-    """Two triangles per panel."""
-    corner, u, v = (np.array([getattr(p, name) for p in panels]) for name in ("corner", "u", "v"))
-    vertices = np.stack((corner, corner + u, corner + u + v, corner + v), axis=1).reshape(-1, 3)
-    quad = np.array([[0, 1, 2], [0, 2, 3]])
-    faces = (quad[None] + 4 * np.arange(len(panels))[:, None, None]).reshape(-1, 3)
-    return trimesh.Trimesh(vertices, faces, process=False)
-
-
 @dataclass
 class CorridorWorld(Building):
     """A hallway of `n_modules` identical modules and the landmarks that tell some apart."""
@@ -84,7 +82,6 @@ class CorridorWorld(Building):
     seed: int = 0
     rearranged: bool = False  # whether desks and shelves have changed places and the poster is gone
     panels: list[Panel] = field(init=False, repr=False)
-    mesh: trimesh.Trimesh = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.n_modules < 2:
@@ -96,7 +93,6 @@ class CorridorWorld(Building):
         ]
         landmarks = _landmarks(self.n_modules)
         self.panels += landmarks[1:] if self.rearranged else landmarks
-        self.mesh = mesh_of(self.panels)
 
     @property
     def length(self) -> float:
