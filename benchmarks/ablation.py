@@ -49,11 +49,9 @@ from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory, trajectory_errors
 from conformodal.io import Recording, SplitKind, read_recording
-from conformodal.localizer.observations import Observations, PosePath
-from conformodal.localizer.places import image_hypotheses
-from conformodal.localizer.prior import MotionPrior
-from conformodal.localizer.smoother import smooth
-from conformodal.localizer.targets import pose_targets
+from conformodal.localizer.candidates import pose_targets
+from conformodal.localizer.observations import MotionPrior, Observations, PosePath
+from conformodal.localizer.smoother import image_hypotheses, smooth
 from conformodal.pipeline.config import Calibration, ModelConfig
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.model import PoseModel

@@ -20,9 +20,7 @@ from scipy import stats
 from conformodal.geometry import RelativeMotion
 from conformodal.io import Recording
 from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
-from conformodal.localizer.observations import Observations, PosePath
-from conformodal.localizer.places import choose_places
-from conformodal.localizer.prior import MotionPrior
+from conformodal.localizer.observations import MotionPrior, Observations, PosePath, choose_places
 from conformodal.pipeline.provenance import provenance
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -28,7 +28,7 @@ from conformodal.features.backbone import at_unit_length, coarse_features
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.io import Disturbance, Recording, read_recording
 from conformodal.localizer.overlap import near_known
-from conformodal.localizer.sources import mapping
+from conformodal.localizer.sources.landmarks import LandmarkMap
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.depths import measure_depths
 from conformodal.pipeline.train import prepare_training_data
@@ -84,7 +84,7 @@ def errors(source: str, target: str, third: int | None) -> dict[tuple[str, bool]
             if by_network:
                 maps = at_unit_length(coarse_features(data.features[frames], grid))
                 images = [image._replace(global_descriptor=row) for image, row in zip(images, maps, strict=True)]
-            built = mapping.build_map(images, mapped.require_truth()[frames].poses_se3, mapped.camera, depth_m)
+            built = LandmarkMap.build(images, mapped.require_truth()[frames].poses_se3, mapped.camera, depth_m)
             for disturbed, query in queries.items():
                 positions, began = np.full((len(asked), 3), np.inf), time.process_time()
                 for k, i in enumerate(asked.tolist()):

@@ -15,7 +15,7 @@ from unseen import ALPHA, KNOWN, corridor_flights
 from conformodal.core.files import default_cache_dir
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.novelty import PlaceNovelty
+from conformodal.localizer.regions import PlaceNovelty
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.folds import make_folds
 from conformodal.pipeline.train import prepare_training_data

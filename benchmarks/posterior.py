@@ -17,11 +17,10 @@ from ablation import Models
 from common import RESULTS, ROOT, cached_json, mean_interval, parser_with_seeds, rmse, write_table
 
 from conformodal.core.arrays import FloatArray, rows_by_label
-from conformodal.localizer.filter import Window, filter_posteriors
-from conformodal.localizer.places import choose_places, same_place
+from conformodal.localizer.candidates import pose_targets
+from conformodal.localizer.filter import LAG, Window, filter_posteriors
+from conformodal.localizer.observations import choose_places, same_place
 from conformodal.localizer.regions import PoseRegions
-from conformodal.localizer.settings import FILTER
-from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.model import LAGGED, PoseModel
 
@@ -57,7 +56,7 @@ def lagged(models: Models, model: PoseModel, run: OdometryRun) -> dict[str, floa
     for at in rows_by_label(models.sequence.recording[run.frames]):
         observed = run.observations(at)
         forward = filter_posteriors(observed, model.prior)
-        parts = [slice(k, k + FILTER.lag + 1) for k in range(len(at) - FILTER.lag)]
+        parts = [slice(k, k + LAG + 1) for k in range(len(at) - LAG)]
         first = [Window(observed.part(part), forward[part]).first(model.prior) for part in parts]
         best, _ = choose_places(first, run.timestamps_s[at[: len(first)]], model.prior)
         rows.append(at[: len(first)])

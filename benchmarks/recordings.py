@@ -22,8 +22,8 @@ from scipy.stats import chi2
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.features.extract import FeatureCache
 from conformodal.io import Recording, SplitKind, read_recording
+from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.overlap import near_known
-from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.paper import odometry_of

@@ -32,10 +32,8 @@ from conformodal.corridor.render import Renderer
 from conformodal.features.extract import FeatureCache
 from conformodal.geometry import Trajectory, angle_between_quats
 from conformodal.io import Recording, read_recording
-from conformodal.localizer.observations import Observations, PosePath
-from conformodal.localizer.places import image_hypotheses
-from conformodal.localizer.prior import MotionPrior
-from conformodal.localizer.smoother import smooth
+from conformodal.localizer.observations import MotionPrior, Observations, PosePath
+from conformodal.localizer.smoother import image_hypotheses, smooth
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.model import PoseModel

@@ -39,8 +39,8 @@ from conformodal.core.files import default_cache_dir
 from conformodal.corridor import CorridorWorld, Renderer, drone_path, write_corridor, write_flight
 from conformodal.features.extract import FeatureCache
 from conformodal.io import PixelNoise, Recording, SplitKind, read_image, read_recording
-from conformodal.localizer.settings import NOVELTY
-from conformodal.localizer.targets import pose_targets
+from conformodal.localizer.candidates import pose_targets
+from conformodal.localizer.regions import LEVEL_STRETCHES
 from conformodal.pipeline.config import Calibration, ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.model import PoseModel
@@ -239,7 +239,7 @@ def draw(runs: dict[str, Any]) -> None:
                 axis.axvline(start - 0.5, color="black", lw=0.8)
         above.text(at.mean(), 1.25, label, ha="center", va="bottom")
         start = at[-1] + 1
-    for level, style in ((NOVELTY.level_stretches, "--"), (NOVELTY.level_stretches / 2, ":")):
+    for level, style in ((LEVEL_STRETCHES, "--"), (LEVEL_STRETCHES / 2, ":")):
         above.axhline(level, color=red, lw=0.8, ls=style)
     legend = "at or below the line (dotted: where a place is recognised)\nthe region is unbounded"
     above.text(2, 0.019, legend, color=red, va="bottom", fontsize=8)

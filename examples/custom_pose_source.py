@@ -13,7 +13,7 @@ from conformodal.corridor import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import read_recording
-from conformodal.localizer.measurement import PoseMeasurement
+from conformodal.localizer.evidence import PoseMeasurement
 from conformodal.localizer.sources.registry import SourceAnswer, SourceState, register_source
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry

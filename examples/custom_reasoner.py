@@ -12,8 +12,7 @@ from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import trajectory_errors
 from conformodal.io import read_recording
-from conformodal.localizer.observations import Observations, PosePath
-from conformodal.localizer.prior import MotionPrior
+from conformodal.localizer.observations import MotionPrior, Observations, PosePath
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.stream import as_trajectory

@@ -24,8 +24,8 @@ from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
 from conformodal.io.decoding import grey_image
+from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.errors import ResultsError
 from conformodal.pipeline.identity import data_digest

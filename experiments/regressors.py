@@ -21,8 +21,7 @@ from conformodal.core.arrays import rows_by_label
 from conformodal.features.heads import Head, predict_values
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory, angle_between_quats, concatenate, normalise_quat
-from conformodal.localizer.observations import PosePath
-from conformodal.localizer.prior import MotionPrior
+from conformodal.localizer.observations import MotionPrior, PosePath
 from conformodal.localizer.smoother import smooth
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.plain import PlainRegressor, fit_values, known_frames, scaling

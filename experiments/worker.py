@@ -18,12 +18,10 @@ from conformodal.core.arrays import FloatArray, rows_by_label
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.geometry import Trajectory, concatenate, normalise_quat
 from conformodal.io import PixelNoise, Recording
-from conformodal.localizer.candidates import Candidates, interval_runs, softmax_mean
+from conformodal.localizer.candidates import Candidates, fuse, interval_runs, pose_targets, softmax_mean
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import hindsight_posteriors
-from conformodal.localizer.fusion import fuse
 from conformodal.localizer.greedy import greedy
-from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import Method
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.evaluate import error_table

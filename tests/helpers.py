@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from conformodal.conformal import Regions
 from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.regions import PoseRegions, Support
 
@@ -68,4 +69,5 @@ def pose_regions_of(bins, masks, unbounded, candidates=None):
     nothing = Candidates(np.zeros((1, 3)), np.ones((1, 3)), np.eye(4)[:1], np.ones(1), np.zeros(1))
     its = [nothing] * len(unbounded) if candidates is None else candidates
     supports = [Support.of(one, bins, np.eye(4)[0]) for one in its]
-    return PoseRegions(bins, masks, unbounded, supports, np.ones(len(its)), product=candidates is None)
+    sets = Regions(bins, masks, unbounded)
+    return PoseRegions(sets, supports, np.ones(len(its)), product=candidates is None)

@@ -124,15 +124,6 @@ def test_a_straight_path_leaves_the_roll_open_and_yaw_does_not_touch_it():
     np.testing.assert_allclose(yawed.poses_se3, truth.poses_se3, atol=1e-9)
 
 
-def test_yaw_keeps_an_error_of_tilt():
-    truth, estimate = straight(2.0)
-    tilted = Rotation.from_euler("y", 5, degrees=True)
-    q = (tilted * Rotation.from_quat(estimate.orientations_quat_wxyz, scalar_first=True)).as_quat(scalar_first=True)
-    wrong = Trajectory(estimate.timestamps_s, tilted.apply(estimate.positions_xyz), q)
-    assert orientation_errors_deg(align(wrong, truth, "se3"), truth).max() < 1e-6
-    assert orientation_errors_deg(align(wrong, truth, "yaw"), truth).max() == pytest.approx(5, abs=0.5)
-
-
 def road(n, turn_deg):
     """A drive along z, one metre per frame, turning about y by `turn_deg` every metre."""
     headings = np.radians(turn_deg) * np.arange(n)

@@ -14,8 +14,7 @@ from conformodal.geometry import (
     trajectory_errors,
 )
 from conformodal.geometry.poses import check_rotation_matrices
-from conformodal.io import DatasetError
-from conformodal.io.pose_files import KITTI_RATE_HZ, euroc_table, kitti_table, read_tum, write_tum
+from conformodal.io.pose_files import KITTI_RATE_HZ, euroc_table, kitti_table, read_tum
 
 
 def random_trajectory(n=20, seed=0):
@@ -85,21 +84,6 @@ def test_bad_input_is_refused(make, match):
         make()
 
 
-def some_path(n=6, start_s=0.0):
-    rng = np.random.default_rng(0)
-    times = start_s + np.arange(n) / 10
-    return Trajectory(times, rng.normal(size=(n, 3)) * 100, Rotation.random(n, rng).as_quat(scalar_first=True))
-
-
-def write_kitti(file, path):
-    np.savetxt(file, path.poses_se3[:, :3].reshape(-1, 12))
-
-
-def write_euroc(file, path):
-    rows = zip(path.timestamps_s, path.positions_xyz, path.orientations_quat_wxyz, strict=True)
-    file.write_text("#h\n" + "".join(f"{round(t * 1e9)},{','.join(map(str, (*p, *q)))}\n" for t, p, q in rows))
-
-
 def read_kitti(file):
     rows = kitti_table(file).rows
     return Trajectory(np.arange(len(rows)) / KITTI_RATE_HZ, rows[:, :3], rows[:, 3:])
@@ -110,18 +94,7 @@ def read_euroc(file):
     return Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
 
 
-FORMATS = {"tum": (read_tum, write_tum), "kitti": (read_kitti, write_kitti), "euroc": (read_euroc, write_euroc)}
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_what_is_written_is_read_back(tmp_path, name):
-    read, write = FORMATS[name]
-    path = some_path(start_s=0.0 if name == "kitti" else 1_403_636_579.7)
-    write(tmp_path / "file", path)
-    back = read(tmp_path / "file")
-    np.testing.assert_allclose(back.positions_xyz, path.positions_xyz, atol=1e-6)
-    np.testing.assert_allclose(np.abs(np.sum(back.orientations_quat_wxyz * path.orientations_quat_wxyz, axis=1)), 1)
-    np.testing.assert_allclose(back.timestamps_s, path.timestamps_s, atol=1e-6)
+FORMATS = {"tum": read_tum, "kitti": read_kitti, "euroc": read_euroc}
 
 
 def test_conventions_of_the_files_are_the_published_ones(tmp_path):
@@ -130,28 +103,12 @@ def test_conventions_of_the_files_are_the_published_ones(tmp_path):
     (tmp_path / "kitti").write_text("0 -1 0 1 1 0 0 2 0 0 1 3\n")
     (tmp_path / "tum").write_text(f"5 1 2 3 0 0 {half} {half}\n")
     (tmp_path / "euroc").write_text(f"#timestamp\n5000000000,1,2,3,{half},0,0,{half},9,9,9\n")
-    for name, (read, _) in FORMATS.items():
+    for name, read in FORMATS.items():
         pose = read(tmp_path / name)
         np.testing.assert_allclose(
             pose.poses_se3[0], [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]], atol=1e-12
         )
         assert pose.timestamps_s[0] == (0 if name == "kitti" else 5)
-
-
-STRETCHED = "2 0 0 0 0 1 0 0 0 0 1 0\n"  # no rotation
-DAMAGED = ["", "\n\n", "#h\n", "1 2 3\n", "1,0,0,0,1,0,0\n", "nan " * 12, "1e400 " * 8, "1_0 " * 8, "x " * 8, "\0" * 99]
-
-
-READ_DAMAGED = [(read, content) for read in (read_tum, read_kitti, read_euroc) for content in DAMAGED]
-
-
-@pytest.mark.parametrize(("read", "content"), [*READ_DAMAGED, (read_kitti, STRETCHED)])
-def test_damaged_files_are_named(tmp_path, read, content):
-    (tmp_path / "file").write_text(content)
-    with pytest.raises(DatasetError, match="file"):
-        read(tmp_path / "file")
-    with pytest.raises(DatasetError, match="missing"):
-        read(tmp_path / "missing")
 
 
 @pytest.mark.parametrize("row", ["2 0 0 0 0 0 0 0", "2 nan 0 0 0 0 0 1", "2 1e99 0 0 0 0 0 1", "2 lost"])

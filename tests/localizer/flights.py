@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import MotionStatus, RelativeMotion
 from conformodal.localizer.candidates import Candidates
-from conformodal.localizer.prior import MotionPrior
+from conformodal.localizer.observations import MotionPrior
 
 PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.5, 1.5), (0.5, 0.5))
 

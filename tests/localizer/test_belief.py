@@ -5,11 +5,9 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import QuantileBins
 from conformodal.geometry import fix_sign
-from conformodal.localizer.belief import Beliefs, belief_cells, cells_per_bin, recognised_only
-from conformodal.localizer.candidates import Candidates
-from conformodal.localizer.fusion import fuse
-from conformodal.localizer.measurement import PoseMeasurement
-from conformodal.localizer.settings import BELIEF
+from conformodal.localizer.candidates import Candidates, fuse
+from conformodal.localizer.evidence import PoseMeasurement
+from conformodal.localizer.localizer import BEYOND, RECOGNISED, Beliefs, belief_cells, cells_per_bin, recognised_only
 
 SIGN = np.array([1.0, 0, 0, 0])
 
@@ -52,12 +50,12 @@ def test_cells_hold_the_edges_of_the_bins_and_reach_beyond(bins):
         reach, widths = np.ptp(edges), np.diff(fine)
         assert fine[0] < edges[0] - 2 * reach
         assert fine[-1] > edges[-1] + 2 * reach
-        assert (np.diff(widths[-BELIEF.beyond :]) > 0).all()  # wider the further away
-        np.testing.assert_allclose(widths[: BELIEF.beyond], widths[-BELIEF.beyond :][::-1])
-        assert len(widths) == 800 + 2 * BELIEF.beyond
+        assert (np.diff(widths[-BEYOND:]) > 0).all()  # wider the further away
+        np.testing.assert_allclose(widths[:BEYOND], widths[-BEYOND:][::-1])
+        assert len(widths) == 800 + 2 * BEYOND
     assert cells_per_bin(bins) == 80
     many = QuantileBins(900).fit(np.linspace(0, 1, 5000))
-    assert belief_cells(many).sizes == [900 + 2 * BELIEF.beyond]
+    assert belief_cells(many).sizes == [900 + 2 * BEYOND]
 
 
 def test_rows_add_up_to_one_whatever_is_believed(bins):
@@ -102,24 +100,6 @@ def test_an_estimate_has_its_probability_and_students_tails(bins, probability):
         np.testing.assert_allclose(found[j][1], expected / expected.sum(), rtol=1e-6, atol=1e-15)
 
 
-def test_quaternions_spread_as_small_rotations_spread_them_whatever_their_sign(bins):
-    proba, cells = softmaxes(bins, 1), belief_cells(bins)
-    turn = np.array([0.5, -0.3, 0.2])
-    here = estimate([1.0, 1.0, 1.0], turn=turn, sigma_rad=0.02, probability=0.99)
-    flipped = PoseMeasurement(here.position_xyz, -here.orientation_quat_wxyz, 0.02, 0.02, 50, 0.99)
-    one, other = (marginals(bins, proba, mixture([its])) for its in (here, flipped))
-    rng = np.random.default_rng(0)
-    turns = Rotation.from_rotvec(0.02 * stats.t(3).rvs(size=(200_000, 3), random_state=rng))
-    samples = (Rotation.from_rotvec(turn) * turns).as_quat(scalar_first=True)
-    for j in range(3, 7):
-        np.testing.assert_array_equal(one[j], other[j])
-        cumulative = np.cumsum(one[j][0])
-        for share in (0.25, 0.75):  # quartiles of the belief are those of rotated quaternions
-            at = cells.edges_[j][1:][np.searchsorted(cumulative, share)]
-            spread = np.subtract(*np.quantile(samples[:, j - 3], [0.75, 0.25]))
-            assert abs(at - np.quantile(samples[:, j - 3], share)) < 0.25 * spread + cells.widths[j].max()
-
-
 @pytest.mark.parametrize("sign", [SIGN, -SIGN, np.array([0.0, 0, -1, 0])])
 def test_signs_of_quaternions_are_those_of_the_reference(sign):
     """An estimate lies where the targets of its frame lie."""
@@ -134,8 +114,8 @@ def test_signs_of_quaternions_are_those_of_the_reference(sign):
 
 def test_a_place_is_recognised_by_an_estimate_that_is_probably_right():
     unsure, sure = (
-        estimate([0, 0, 0], probability=BELIEF.recognised - 0.01),
-        estimate([1, 0, 0], probability=BELIEF.recognised),
+        estimate([0, 0, 0], probability=RECOGNISED - 0.01),
+        estimate([1, 0, 0], probability=RECOGNISED),
     )
     given = [[], [unsure], [unsure, sure], [sure]]
     assert Beliefs([], [mixture()] * 4, given).recognised.tolist() == [False, False, True, True]

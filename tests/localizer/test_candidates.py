@@ -1,11 +1,8 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.localizer.candidates import interval_candidates, mode_candidates
-from conformodal.localizer.settings import CANDIDATES
 
 K = 20
 
@@ -39,11 +36,11 @@ def test_every_mode_is_a_candidate_at_its_mean():
 def test_candidates_are_bounded_and_keep_the_most_probable(monkeypatch):
     many = bumps(*[(c, 1.0) for c in (2, 10, 18)])
     proba = [many, many, many, *identity_quat()]
-    monkeypatch.setattr("conformodal.localizer.candidates.CANDIDATES", replace(CANDIDATES, most=10))
+    monkeypatch.setattr("conformodal.localizer.candidates.MOST", 10)
     found = mode_candidates(proba, pose_bins())[0]
     assert len(found.positions_xyz) == 10
     assert (np.diff(found.log_mass) <= 1e-12).all()
-    monkeypatch.setattr("conformodal.localizer.candidates.CANDIDATES", replace(CANDIDATES, least_mass=0.9))
+    monkeypatch.setattr("conformodal.localizer.candidates._LEAST_MASS", 0.9)
     few = mode_candidates(proba, pose_bins())[0]
     assert len(few.positions_xyz) == 1  # never none
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from conformodal.localizer.measurement import HeldOutErrors, PoseMeasurement, fit_error_model
+from conformodal.localizer.evidence import HeldOutErrors, PoseMeasurement, fit_error_model
 
 ANYWHERE = 1e9  # metres: every estimate is of the same place
 

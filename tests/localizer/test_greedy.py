@@ -63,21 +63,6 @@ def test_all_combinations_are_tried(seed):
     np.testing.assert_allclose(found.orientations_quat_wxyz, quats, atol=1e-15)
 
 
-def test_one_wrong_pick_steers_all_later_ones():
-    """Two ways side by side, along x; the start is on the wrong one, and nothing leads back."""
-    n = 10
-    ways = [np.array([0.0, 5.0]), np.zeros(1), np.array([1.0]), *(np.zeros(1),) * 3]
-    intervals = []
-    for t in range(n):
-        mass = np.log([0.4, 0.6] if t == 0 else [0.9, 0.1])
-        along = [np.array([float(t)]), *ways]
-        log_mass = [np.zeros(1), mass, *(np.zeros(1),) * 5]
-        intervals.append([BinRuns(m, np.full_like(m, 0.1), its) for m, its in zip(along, log_mass, strict=True)])
-    ahead = RelativeMotion(MotionStatus.OK, np.eye(3), np.array([1.0, 0.0, 0.0]))
-    found = greedy(intervals, [None, *[ahead] * (n - 1)], np.arange(n))
-    np.testing.assert_array_equal(found.positions_xyz[:, 1], 5.0)
-
-
 @pytest.mark.parametrize("motion", [None, RelativeMotion(MotionStatus.LOST)])
 def test_the_most_probable_is_taken_where_motion_is_unknown(motion):
     rng = np.random.default_rng(1)

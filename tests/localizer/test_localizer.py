@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins
-from conformodal.localizer.errors import LocalizationError
-from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer import LocalizationError
+from conformodal.localizer.evidence import FrameEvidence, PoseMeasurement
 from conformodal.localizer.localizer import Localizer
-from conformodal.localizer.measurement import PoseMeasurement
 from conformodal.localizer.sources import registry
 from conformodal.localizer.sources.registry import SourceAnswer, register_source
 from tests.localizer.conftest import Told

@@ -5,9 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Submap, Trajectory, angle_between_quats
-from conformodal.localizer.errors import ReasoningError
-from conformodal.localizer.observations import Observations
-from conformodal.localizer.prior import fit_motion_prior
+from conformodal.localizer import LocalizationError
+from conformodal.localizer.observations import Observations, fit_motion_prior
 from conformodal.localizer.smoother import smooth_orientations, smooth_positions
 from tests.localizer.flights import PRIOR, ambiguous, exact_motions, path
 
@@ -15,11 +14,11 @@ from tests.localizer.flights import PRIOR, ambiguous, exact_motions, path
 def test_observations_that_do_not_belong_together_are_refused():
     t, positions, rotations = path(3)
     candidates = ambiguous(positions, rotations)
-    with pytest.raises(ReasoningError, match="1 motions"):
+    with pytest.raises(LocalizationError, match="1 motions"):
         Observations(candidates, [None], t)
-    with pytest.raises(ReasoningError, match="0 candidates"):
+    with pytest.raises(LocalizationError, match="0 candidates"):
         Observations([], [], t[:0])
-    with pytest.raises(ReasoningError, match=r"increase.*frames 1, 2"):
+    with pytest.raises(LocalizationError, match=r"increase.*frames 1, 2"):
         Observations(candidates, [None] * 3, t[[0, 1, 1]])
 
 
@@ -53,7 +52,7 @@ def test_smoothing_keeps_what_is_exact_and_short():
     np.testing.assert_allclose(angle_between_quats(same, quats), 0, atol=1e-6)
     assert smooth_orientations(quats[:1], np.ones(1), motions[:1], t[:1], PRIOR).shape == (1, 4)
     assert smooth_positions(positions[:2], np.ones((2, 3)), quats[:2], t[:2], PRIOR).shape == (2, 3)
-    with pytest.raises(ReasoningError, match="positive"):
+    with pytest.raises(LocalizationError, match="positive"):
         smooth_positions(positions, np.zeros((30, 3)), quats, t, PRIOR)
 
 
@@ -77,7 +76,7 @@ def test_prior_learns_speeds_and_turns():
     assert prior.turn_rate_rad_s == pytest.approx(0.5, rel=0.01)
     assert prior.reach_m(0.1) == pytest.approx(0.11, rel=0.01)  # 1 m/s and a tenth more
     assert (np.diff(prior.intervals_s) > 0).all()
-    with pytest.raises(ReasoningError, match="three frames"):
+    with pytest.raises(LocalizationError, match="three frames"):
         fit_motion_prior(Trajectory(t[:2], circle[:2], quats[:2]), np.zeros(2, int))
 
 

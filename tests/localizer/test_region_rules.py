@@ -1,12 +1,10 @@
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from conformodal.conformal import QuantileBins, SplitConformal, conformal_quantile, grouped_coverage_band
-from conformodal.localizer.region_rules import EvidenceType, RegionRules
-from conformodal.pipeline.evaluate import RegionStatistics, coverage_table
+from conformodal.conformal import QuantileBins, SplitConformal, conformal_quantile
+from conformodal.localizer.regions import EvidenceType, RegionRules
 
 GLOBAL, UNMATCHED, LANDMARKS, UNKNOWN, DISTURBED = EvidenceType
 
@@ -105,37 +103,3 @@ def test_the_guarantee_holds_in_each_type(joint, alpha, n_members):
         for chosen in (recognised, ~recognised):
             if chosen.any():
                 assert (events[chosen].mean(axis=0) <= alpha + 1e-12).all()
-
-
-@pytest.mark.parametrize("joint", ["none", "bonferroni", "max"])
-def test_thresholds_of_stretches_keep_their_groups(bins, joint):
-    groups, matched = np.repeat(np.arange(20), 4), np.tile([True, True, True, False], 20)
-    whole = calibrated(bins, joint=joint, groups=groups)
-    rules = RegionRules(whole, matched, np.ones(80), 0.0)
-    for kind, chosen in ((LANDMARKS, matched), (UNMATCHED, ~matched)):
-        sizes = np.full(chosen.sum(), 4)  # of the whole stretches
-        again = SplitConformal(bins, 0.2, "hpd", joint).calibrate_scores(whole.scores_[chosen], groups[chosen], sizes)
-        np.testing.assert_array_equal(rules.by_type[kind].thresholds_, again.thresholds_)
-        assert rules.by_type[kind].n_units == 20
-
-
-@pytest.mark.parametrize(("n_recognised", "n_new"), [(20, 30), (4, 3)])
-def test_the_band_is_that_of_both_types_together(bins, n_recognised, n_new):
-    whole = calibrated(bins)
-    rules = RegionRules(whole, np.arange(80) < n_recognised, np.ones(80), 0.0).at(0.1)
-    statistics = RegionStatistics(
-        inside=np.ones((100, 7), dtype=bool),
-        unbounded=np.zeros((100, 7), dtype=bool),
-        length=np.ones((100, 7)),
-        n_intervals=np.ones((100, 7), dtype=np.int64),
-        kinds=np.where(np.arange(100) < n_new, LANDMARKS, UNMATCHED).astype(np.int64),
-        held=np.ones(100, dtype=bool),
-        n_places=np.ones(100, dtype=np.int64),
-    )
-    sources = SimpleNamespace(sources=[SimpleNamespace(name="landmarks")])
-    model = SimpleNamespace(
-        rules=rules, calibration=rules.overall, n_calibration=80, localizer=sources, comparison=None
-    )
-    table = coverage_table(statistics, model, exchangeable=True)
-    law = [(80 - n_recognised, 100 - n_new), (n_recognised, n_new)]
-    assert table["joint_band_99"] == list(grouped_coverage_band(law, 0.1))

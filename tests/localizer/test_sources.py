@@ -1,16 +1,14 @@
 """Every pose source: which frames it looks at, that it can be stored, and that others can be added."""
 
-import json
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from conformodal.localizer.errors import LocalizationError
-from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer import LocalizationError
+from conformodal.localizer.evidence import FrameEvidence, PoseMeasurement
 from conformodal.localizer.localizer import Localizer
-from conformodal.localizer.measurement import PoseMeasurement
 from conformodal.localizer.sources import registry
 from conformodal.localizer.sources.head import HeadSource
 from conformodal.localizer.sources.registry import SourceAnswer, SourceState, find_source, register_source
@@ -36,13 +34,6 @@ def same_states(one, other):
     for name in one.arrays:
         np.testing.assert_array_equal(one.arrays[name], other.arrays[name])
         assert one.arrays[name].dtype == other.arrays[name].dtype
-
-
-def stored(source):
-    """What comes back from the disk: arrays, and settings that went through JSON."""
-    state = source.state()
-    arrays = {name: np.ascontiguousarray(array).copy() for name, array in state.arrays.items()}
-    return type(source).from_state(SourceState(arrays, json.loads(json.dumps(state.settings))))
 
 
 def test_a_name_belongs_to_one_kind(monkeypatch):
@@ -75,19 +66,6 @@ def test_a_head_looks_at_its_own_frames_and_at_no_other(data_of, spoilt, wrong):
     # and the frames are not the same by chance: others say something else
     fewer = HeadSource.fit(data, frames[:-20])
     assert any(not np.array_equal(v, fewer.state().arrays[k]) for k, v in clean.state().arrays.items() if k != "frames")
-
-
-def test_a_stored_head_answers_the_same(data_of):
-    data = data_of()
-    source = HeadSource.fit(data, np.arange(160))
-    back = stored(source)
-    assert isinstance(back, HeadSource)
-    same_states(source.state(), back.state())
-    queries = FrameEvidence(data.features[160:])
-    found = source.answer(queries)
-    assert found.proba
-    assert not any(found.measurements)
-    same_answers(found, back.answer(queries))
 
 
 @dataclass(frozen=True, eq=False)

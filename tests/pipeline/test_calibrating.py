@@ -8,9 +8,8 @@ from scipy.stats import norm
 from conformodal.conformal import QuantileBins
 from conformodal.features.extract import FeatureCache
 from conformodal.geometry import Trajectory
-from conformodal.localizer.region_rules import EvidenceType
-from conformodal.localizer.regions import Support
-from conformodal.localizer.settings import FILTER
+from conformodal.localizer.filter import LAG
+from conformodal.localizer.regions import EvidenceType, Support
 from conformodal.localizer.sources import registry
 from conformodal.localizer.sources.registry import SourceAnswer, register_source
 from conformodal.pipeline import calibrate as calibrating
@@ -195,7 +194,7 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
     its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
     motions = dict.fromkeys(range(n))
     paths = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions).rules
-    rule, lag = paths["lagged"], FILTER.lag
+    rule, lag = paths["lagged"], LAG
     assert set(windows) == {(lag + 1, lag + 1)}
     frames = np.rint(rule.scores_[:, 0] * n).astype(int)
     assert len(np.unique(frames)) == len(frames)

@@ -10,10 +10,10 @@ from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.local import extract_local_features
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Disturbance, read_recording
+from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.radius import Guarantee, PoseRadius
-from conformodal.localizer.region_rules import EvidenceType, RegionRules
-from conformodal.localizer.targets import pose_targets
+from conformodal.localizer.regions import EvidenceType, RegionRules
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.errors import ModelFileError, OdometryError
 from conformodal.pipeline.estimator import VisualOdometry

@@ -9,7 +9,7 @@ from PIL import Image
 
 from conformodal.io import read_recording
 from conformodal.io.streams.frames import Frame
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.results import ResultsWriter

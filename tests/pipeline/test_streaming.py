@@ -11,11 +11,11 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from conformodal.io import ImageError, read_recording
 from conformodal.io.streams.frames import Frame, SourceError
 from conformodal.io.streams.stored import RecordingStream
+from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.filter import filter_posteriors
-from conformodal.localizer.places import choose_places, same_place
-from conformodal.localizer.region_rules import EvidenceType
-from conformodal.localizer.settings import FILTER
-from conformodal.localizer.targets import pose_targets
+from conformodal.localizer.observations import choose_places, same_place
+from conformodal.localizer.regions import EvidenceType
+from conformodal.pipeline.calibrate import MOST_RELIABLE
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.results import ResultsWriter, read_region_records, read_trajectories, records_hold
 from conformodal.pipeline.store import load_model
@@ -99,7 +99,7 @@ def test_regions_after_motion_hold_the_calibration_frames_whose_scores_they_were
     wrong = ~same_place(run.trajectories["online"], truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
     wrong &= ~run.path_regions["online"].contains(targets, joint=True)
     n_sure = np.sum(wrong & (run.certainty >= model.reliable_p))
-    assert n_sure <= max(0.01, 1 / (len(frames) + 1)) * (len(frames) + 1) or model.reliable_p == FILTER.most_reliable
+    assert n_sure <= max(0.01, 1 / (len(frames) + 1)) * (len(frames) + 1) or model.reliable_p == MOST_RELIABLE
     # poses when their frame comes depend on no later frame
     for cut in (5, 12, 20):
         observations = run.observations(np.arange(cut))

@@ -7,7 +7,7 @@ from conformodal.conformal import hierarchical_quantile
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.config import Calibration, ModelConfig
 from conformodal.pipeline.folds import make_folds
 from conformodal.pipeline.store import load_model, save_model

@@ -46,8 +46,8 @@ def test_what_is_missing_is_named_with_the_line_that_installs_it(small_world, tm
     assert "Traceback" not in found.stderr
 
 
-@pytest.mark.parametrize("module", ["localizer.region_rules", "localizer.radius", "pipeline.errors"])
-def test_rules_of_regions_and_radii_need_no_package_for_images(module):
+@pytest.mark.parametrize("module", ["localizer.radius", "pipeline.errors"])
+def test_radii_need_no_package_for_images(module):
     found = run_script(f"""
         import sys
         import conformodal.{module}

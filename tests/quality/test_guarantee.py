@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import betabinom
 
 from conformodal.conformal import QuantileBins, SplitConformal, conformal_rank
-from conformodal.localizer.region_rules import EvidenceType, RegionRules
+from conformodal.localizer.regions import EvidenceType, RegionRules
 from conformodal.quality.guarantee import N_NEW, guarantees
 
 BINS = QuantileBins.from_edges([[0, 1, 2], [0, 1, 2]])

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from conformodal.geometry import Trajectory
-from conformodal.localizer.places import Place
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.observations import Place
+from conformodal.localizer.regions import EvidenceType
 from conformodal.quality.advice import advice, verdict
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.place_ambiguity import ambiguity

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from conformodal.geometry import Trajectory
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.results import region_record
 from conformodal.report.viewer import Thumbnails
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from conformodal.geometry import Trajectory
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.results import region_record
 from conformodal.report.viewer import kind_of, make_viewer
 

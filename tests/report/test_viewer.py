@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from conformodal.geometry import Trajectory
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.results import region_record
 from conformodal.report.page import write_page
 from conformodal.report.viewer import make_viewer

@@ -11,7 +11,7 @@ import pytest
 from conformodal.conformal import QuantileBins
 from conformodal.geometry import Trajectory
 from conformodal.localizer.candidates import Candidates
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.estimates import Estimate
 from tests.helpers import pose_regions_of
 

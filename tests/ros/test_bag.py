@@ -11,7 +11,7 @@ from conformodal.core.extras import MissingPackageError
 from conformodal.geometry import Trajectory
 from conformodal.io.streams.frames import Frame
 from conformodal.io.streams.opening import open_stream
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.results import read_region_records, read_trajectories
 from conformodal.ros.bag import BagWriter
 from conformodal.ros.conversion import TOPICS, Conventions, RosError

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Trajectory
 from conformodal.localizer.candidates import Candidates, mixture_covariance
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import EvidenceType
 from conformodal.ros.conversion import Conventions, Conversion
 
 pytest.importorskip("rosbags")

@@ -21,7 +21,7 @@ from conformodal.io import Recording
 from conformodal.io.streams.frames import Frame, FrameStream, SourceError
 from conformodal.io.streams.prefetch import Pace, prefetch
 from conformodal.io.streams.stored import RecordingStream
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.estimates import Estimate
 from conformodal.pipeline.evaluate import coverage_table, error_table, is_exchangeable, radius_table

@@ -15,7 +15,7 @@ from conformodal.geometry import Alignment, Trajectory, align, associate, poses_
 from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, straightness
 from conformodal.io import Layout
 from conformodal.io.folders import writing_in
-from conformodal.localizer.targets import TARGET_NAMES
+from conformodal.localizer.candidates import TARGET_NAMES
 from conformodal.pipeline.errors import OdometryError
 from conformodal.pipeline.evaluate import bounded_coverage, error_table
 from conformodal.pipeline.provenance import provenance

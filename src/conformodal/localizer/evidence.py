@@ -1,40 +1,35 @@
-"""What pose sources see of an image: features of the network and, where they were extracted, local features."""
+"""What pose sources see of images, and what they say: absolute pose estimates with calibrated errors.
+
+The sizes of errors and the rates of outliers are learnt from frames that were held out.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 
-from conformodal.core.arrays import Float32Array, FloatArray
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray
 from conformodal.features.backbone import coarse_features
 from conformodal.features.local import LocalFeatures
+from conformodal.geometry.adjustment import MEDIAN_OF_NORM3, TAIL_OF_NORM3
 
-from .errors import LocalizationError
+LEAST_ESTIMATES = 20  # that errors are learnt from
+_OUTLIER = 5.0  # standard deviations
+_SAME_ORIENTATION_RAD = 1.0  # an estimate rotated by more is another pose, however near
+_LEAST_DISTANCE = 0.005  # scene depths plus radians: nearer to known frames, errors do not shrink further
+_MAX_GROWTH = 2.0  # exponent of a power law
 
 
 @dataclass(frozen=True, eq=False)
 class FrameEvidence:
-    """What pose sources see of n images.
+    """What pose sources see of n images."""
 
-    Attributes
-    ----------
-    features
-        (n, F) of the network, see :class:`~conformodal.features.backbone.Backbone`.
-    local_features
-        Image by image; empty where they were not extracted.
-    """
-
-    features: Float32Array
-    local_features: Sequence[LocalFeatures] = ()
+    features: Float32Array  # (n, F) of the network, see conformodal.features.backbone.Backbone
+    local_features: Sequence[LocalFeatures] = ()  # image by image; empty where they were not extracted
     _coarse: dict[tuple[int, int], Float32Array] = field(default_factory=dict, repr=False)
-
-    def __post_init__(self) -> None:
-        if len(self.local_features) not in (0, len(self.features)):
-            raise LocalizationError(
-                f"{len(self.features)} images need as many local features, or none, got {len(self.local_features)}"
-            )
 
     def __len__(self) -> int:
         return len(self.features)
@@ -49,3 +44,125 @@ class FrameEvidence:
     def quality(self) -> FloatArray:
         """(n, 3) :func:`~conformodal.features.local.image_quality` of images with local features."""
         return np.array([features.quality for features in self.local_features])
+
+
+@dataclass(frozen=True, eq=False)
+class PoseMeasurement:
+    """An absolute pose estimate of one image: the camera's pose in the world, and how good the estimate is."""
+
+    position_xyz: FloatArray  # (3,) metres
+    orientation_quat_wxyz: FloatArray  # (4,)
+    sigma_m: float  # standard deviation of its errors, per axis
+    sigma_rad: float  # about each axis
+    n_inliers: int  # distinct observations that agree with the pose; a corner counts once
+    # probability that the estimate is not an outlier. Of several estimates by one source, at most one is right, and
+    # each probability is stated as if the others were wrong
+    inlier_probability: float = 1.0
+    inlier_share: float = 1.0  # of the matched observations, that agree with the pose
+    image_share: float = 1.0  # over which these are spread
+    # to the nearest frame with a known pose, in scene depths plus radians; 0 where it is not measured
+    distance_to_known: float = 0.0
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Standard deviations and inlier probabilities of a source's estimates.
+
+    The standard deviation in metres is ``position * sigma_m**position_growth * distance**position_distance``, with the
+    predicted sigma and the distance from the nearest known frame; that in radians likewise. The log odds of an inlier
+    are ``log_odds + slopes @ log(support)``.
+    """
+
+    position: float
+    position_growth: float
+    position_distance: float
+    rotation: float
+    rotation_growth: float
+    rotation_distance: float
+    log_odds: float
+    slopes: tuple[float, ...]
+
+    def apply(self, estimate: PoseMeasurement, *support: float) -> PoseMeasurement:
+        """The estimate with calibrated standard deviations and inlier probability, in place of the predicted ones."""
+        odds = self.log_odds + float(np.dot(self.slopes, np.log(support)))
+        away = max(estimate.distance_to_known, _LEAST_DISTANCE)
+        return replace(
+            estimate,
+            sigma_m=self.position * estimate.sigma_m**self.position_growth * away**self.position_distance,
+            sigma_rad=self.rotation * estimate.sigma_rad**self.rotation_growth * away**self.rotation_distance,
+            inlier_probability=float(1 / (1 + np.exp(-odds))),
+        )
+
+    @classmethod
+    def from_json(cls, record: dict[str, Any]) -> Self:
+        """The model from its fields, as JSON stores them."""
+        return cls(**{**record, "slopes": tuple(record["slopes"])})
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOutErrors:
+    """Errors (m,) of estimates of held-out frames, with what was predicted of them."""
+
+    error_m: FloatArray
+    sigma_m: FloatArray
+    error_rad: FloatArray
+    sigma_rad: FloatArray
+    distance: FloatArray  # (m,) from the nearest known frame, scene depths plus radians; 0 where not measured
+    support: FloatArray  # (m, e) positive numbers that grow with the probability of an inlier
+    weights: FloatArray  # (m,) in learning that probability
+
+
+def fit_error_model(errors: HeldOutErrors, same_place_m: float) -> ErrorModel | None:
+    """Fit the model; None from fewer than twenty estimates near the truth.
+
+    An estimate more than `same_place_m` off is of another place: an outlier, not an error of measurement.
+    """
+    near = (errors.error_m < same_place_m) & (errors.error_rad < _SAME_ORIENTATION_RAD)
+    if near.sum() < LEAST_ESTIMATES:
+        return None
+    distance = np.maximum(errors.distance, _LEAST_DISTANCE)
+    position = _power_law(errors.error_m[near], errors.sigma_m[near], distance[near])
+    rotation = _power_law(errors.error_rad[near], errors.sigma_rad[near], distance[near])
+    sigma = position[0] * errors.sigma_m ** position[1] * distance ** position[2]
+    inlier = near & (errors.error_m < _OUTLIER * sigma)
+    return ErrorModel(*position, *rotation, *_inlier_odds(np.log(errors.support), inlier, errors.weights))
+
+
+def _power_law(errors: FloatArray, sigmas: FloatArray, distance: FloatArray) -> tuple[float, float, float]:
+    """Factor, exponent of the predicted sigma, exponent of the distance, which is fitted first: it explains more."""
+    by_distance = _growth(errors, distance)
+    left = errors / distance**by_distance
+    growth = _growth(left, sigmas)
+    left = left / sigmas**growth
+    factor = max(float(np.median(left)) / MEDIAN_OF_NORM3, float(np.quantile(left, 0.95)) / TAIL_OF_NORM3, 1e-6)
+    return factor, growth, by_distance
+
+
+def _growth(errors: FloatArray, cause: FloatArray) -> float:
+    """Exponent, 0 to 2, with which errors (n,) grow with a cause (n,): the median slope of the logarithms."""
+    there = (errors > 0) & (cause > 0)
+    x, y = np.log(cause[there]), np.log(errors[there])
+    if len(x) < 2 or np.ptp(x) == 0:
+        return 0.0
+    from scipy.stats import theilslopes  # noqa: PLC0415 - half a second to import; only learning needs it
+
+    return float(np.clip(theilslopes(y, x)[0], 0, _MAX_GROWTH))
+
+
+def _inlier_odds(log_support: FloatArray, inlier: BoolArray, weights: FloatArray) -> tuple[float, tuple[float, ...]]:
+    """Offset and slopes of the log odds; one inlier and one outlier are added, so that no probability is 0 or 1."""
+    middle = np.median(log_support, axis=0)
+    x = np.concatenate((log_support, [middle, middle]))
+    from sklearn.linear_model import LogisticRegression  # noqa: PLC0415 - a second to import; only learning needs it
+
+    inlier, weights = np.concatenate((inlier, [True, False])), np.concatenate((weights, [1.0, 1.0]))
+    used = list(range(x.shape[1]))
+    while used:
+        model = LogisticRegression().fit(x[:, used], inlier, sample_weight=weights)
+        if (model.coef_[0] >= 0).all():
+            slopes = np.zeros(x.shape[1])
+            slopes[used] = model.coef_[0]
+            return float(model.intercept_[0]), tuple(slopes.tolist())
+        # support never lowers the probability of an inlier: a negative slope comes from too few outliers
+        used.pop(int(np.argmin(model.coef_[0])))
+    return float(np.log(weights[inlier].sum() / weights[~inlier].sum())), (0.0,) * x.shape[1]

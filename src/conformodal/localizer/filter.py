@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,37 +25,32 @@ from scipy.spatial.transform import Rotation
 from conformodal.core.arrays import FloatArray
 from conformodal.geometry import RelativeMotion
 
-from .candidates import Candidates
-from .errors import ReasoningError
-from .observations import Observations
-from .prior import MotionPrior, rotation_sigma
-from .settings import CANDIDATES, FILTER
+from . import LocalizationError
+from .candidates import MOST, Candidates
+from .observations import PLACE_RAD, MotionPrior, Observations, Posterior, rotation_sigma
 
 _ROTATIONS = 8 * np.pi**2  # volume of all rotations, in units of small rotation vectors
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
-
-@dataclass(frozen=True, eq=False)
-class Posterior:
-    """What is known of a frame's pose: hypotheses, or that it is anywhere."""
-
-    hypotheses: Candidates  # most probable first; their probabilities sum to one
-    elsewhere: float  # probability that none of them is right, and the pose anywhere in the volume
-    unseen_s: float = 0.0  # seconds since an image showed a known place
-
-    @property
-    def lost(self) -> bool:
-        """Whether the pose is most probably elsewhere: no known place was seen, or too long ago."""
-        return self.elsewhere > 0.5
-
-    def with_image(self, candidates: Candidates, least: float = 0.0) -> Candidates:
-        """All hypotheses, and after them those of the image alone, which stand where none of these is right.
-
-        The image's have a probability of at least `least`.
-        """
-        share = max(self.elsewhere, least)
-        likely = self.hypotheses.normalised(np.log1p(-share))
-        return Candidates.concatenate((likely, candidates.normalised(np.log(share))))
+# These were chosen on seeds 20 and 21 of the demo, 11, 13 and 20 to 23 of redkitchen, and 20 of fr1.
+# Images that follow each other err alike: share of an image's evidence that the one directly before has told, and
+# seconds in which this share falls by a factor of e. What is left is the power to which the masses of an image's
+# places are raised
+ALIKE, _ALIKE_S = 0.8, 0.25
+# the same for normalisers, as a factor of that power. With 1, a sharp mode of little mass that stays the same over
+# many images wins over a vague hypothesis of most of the mass
+_SHARPNESS = 0.5
+# probability that an image says nothing of the pose, where it shows a known place and where it does not. With 0.5,
+# a stretch of images that are all wrong alike soon had a sure path
+_WRONG, _WRONG_IF_UNKNOWN = 0.02, 1 - 1e-7
+_JUMP = 1e-4  # probability that the camera is anywhere in the next frame: a cut, or a gross mistake
+# the same where corners were followed from one frame to the next, which rules a cut out. With 1e-9, a path that a
+# few wrong images had led away came back after a dozen right ones
+_FOLLOWED_JUMP = 1e-6
+_ROTATION_OUTLIER = 1e-6  # probability that a measured relative rotation is an outlier
+_LEAST_MASS = 1e-10  # hypotheses of less probability are dropped
+_FROM_IMAGE = 4  # most probable hypotheses of the newest image that stay beside those of the largest mass
+LAG = 10  # frames of a stream whose answer is revised in hindsight
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +82,9 @@ def predict(
     turn2 = prior.turn_rate_rad_s**2 * (unseen_s**2 - neighbour.unseen_s**2)
     loose = np.minimum(np.sqrt(spreads**2 + turn2), np.pi)
     turned, sharp = quats, loose
-    measured, jump = False, FILTER.jump
+    measured, jump = False, _JUMP
     if motion is not None and motion.R_prev_next is not None:
-        measured, jump = True, FILTER.followed_jump
+        measured, jump = True, _FOLLOWED_JUMP
         rotation = Rotation.from_matrix(motion.R_prev_next)
         along = rotation.inv() if back else rotation
         turned = (Rotation.from_quat(quats, scalar_first=True) * along).as_quat(scalar_first=True)
@@ -108,29 +104,17 @@ def predict(
         log_mass=hypotheses.normalised().log_mass + np.minimum(np.log(prior.volume_m3 * _ROTATIONS) - widths, 0),
     )
     elsewhere = 1 - (1 - jump) * (1 - neighbour.elsewhere) * float(np.exp(ahead.log_mass).sum())
-    elsewhere = min(max(elsewhere, jump), 1 - FILTER.least_mass)
+    elsewhere = min(max(elsewhere, jump), 1 - _LEAST_MASS)
     return Prediction(ahead, quats, loose, measured, elsewhere, unseen_s)
 
 
 def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong: float, tempering: float) -> Posterior:
-    """The posterior of a frame: prediction times evidence.
+    """The posterior of a frame: prediction times evidence, hypotheses of the image or of another independent source.
 
     Of each pair, a predicted hypothesis and one of the image, the product is merged with all others that have the same
-    sharper member.
-
-    Parameters
-    ----------
-    ahead
-        From the neighbour.
-    evidence
-        Hypotheses of the image, or of another independent source.
-    prior
-        Gives the volume of all positions.
-    wrong
-        Probability that the evidence says nothing of the pose.
-    tempering
-        Power to which masses of the evidence's places are raised, see :func:`tempered`, and with a factor normalisers;
-        distances count in full.
+    sharper member. `wrong` is the probability that the evidence says nothing of the pose, `tempering` the power to
+    which masses of the evidence's places are raised, see :func:`tempered`, and with a factor normalisers; distances
+    count in full.
     """
     predicted = ahead.hypotheses.normalised()
     observed = tempered(evidence, tempering, prior)
@@ -140,7 +124,7 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     total_v, pair_a = ahead_v[:, None] + image_v[None], np.repeat(ahead_a[:, None], len(image_a), axis=1)
     turn = _rotation_vectors(predicted.orientations_quat_wxyz, observed.orientations_quat_wxyz)
     # densities relative to an even spread over the volume and all rotations
-    normaliser = tempering * FILTER.sharpness
+    normaliser = tempering * _SHARPNESS
     position = _log_density((step**2 / total_v).sum(axis=2), np.log(total_v).sum(axis=2), normaliser)
     rotation = _log_density((turn**2).sum(axis=2) / (pair_a + image_a), 3 * np.log(pair_a + image_a), normaliser)
     volume, image_volume = (np.log(v).sum(axis=1) + 3 * np.log(a) for v, a in ((ahead_v, ahead_a), (image_v, image_a)))
@@ -149,7 +133,7 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
         loose = np.repeat(ahead.unturned_spreads_rad[:, None] ** 2, len(image_a), axis=1)
         apart = _rotation_vectors(ahead.unturned_quats_wxyz, observed.orientations_quat_wxyz)
         unturned = _log_density((apart**2).sum(axis=2) / (loose + image_a), 3 * np.log(loose + image_a), normaliser)
-        unturned += np.log(FILTER.rotation_outlier)
+        unturned += np.log(_ROTATION_OUTLIER)
         outlier = unturned > rotation
         rotation = np.logaddexp(rotation, unturned)
         turn, pair_a = np.where(outlier[..., None], apart, turn), np.where(outlier, loose, pair_a)
@@ -162,8 +146,8 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     top = max(pairs.max(), alone.max(), fresh.max())
     mass = np.exp(pairs - top)
     share, share_a = ahead_v[:, None] / total_v, (pair_a / (pair_a + image_a))[..., None]
-    between_v = _shared(ahead_v[:, None], image_v[None], total_v)
-    between_a = _shared(pair_a, image_a[None], pair_a + image_a)
+    # the errors of consecutive images are partly the same, so that two are no more precise than the better one
+    between_v, between_a = np.minimum(ahead_v[:, None], image_v[None]), np.minimum(pair_a, image_a[None])
     by_image = _merged(
         observed,
         np.exp(fresh - top),
@@ -173,14 +157,9 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
         np.swapaxes((share_a - 1) * turn, 0, 1),
         between_a.T,
     )
+    of_predicted = np.where(image_is_sharper, 0, mass)
     by_predicted = _merged(
-        predicted,
-        np.exp(alone - top),
-        np.where(image_is_sharper, 0, mass),
-        share * step,
-        between_v,
-        share_a * turn,
-        between_a,
+        predicted, np.exp(alone - top), of_predicted, share * step, between_v, share_a * turn, between_a
     )
     joined = Candidates.concatenate((by_image, by_predicted))
     total = np.logaddexp.reduce(joined.log_mass)
@@ -188,10 +167,10 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     joined = joined.normalised()
     order = np.argsort(-joined.log_mass, kind="stable")
     # many hypotheses of one place must not crowd out what the next images may speak for
-    stays = (np.arange(len(order)) < CANDIDATES.most) | (order < FILTER.from_image)
-    kept = joined.take(order[stays & (joined.log_mass[order] >= np.log(FILTER.least_mass))]).normalised()
+    stays = (np.arange(len(order)) < MOST) | (order < _FROM_IMAGE)
+    kept = joined.take(order[stays & (joined.log_mass[order] >= np.log(_LEAST_MASS))]).normalised()
     elsewhere = float(np.exp(nowhere - np.logaddexp(total, nowhere)))
-    return Posterior(kept, min(max(elsewhere, FILTER.least_mass), 1 - FILTER.least_mass))
+    return Posterior(kept, min(max(elsewhere, _LEAST_MASS), 1 - _LEAST_MASS))
 
 
 def tempered(evidence: Candidates, power: float, prior: MotionPrior) -> Candidates:
@@ -207,29 +186,24 @@ def tempered(evidence: Candidates, power: float, prior: MotionPrior) -> Candidat
     turns = 2 * np.arccos(
         np.minimum(np.abs(hypotheses.orientations_quat_wxyz @ hypotheses.orientations_quat_wxyz.T), 1)
     )
-    around = np.exp(-0.5 * (off2 + (turns / FILTER.place_rad) ** 2)) @ np.exp(hypotheses.log_mass)
+    around = np.exp(-0.5 * (off2 + (turns / PLACE_RAD) ** 2)) @ np.exp(hypotheses.log_mass)
     around = np.maximum(around, np.finfo(float).tiny)  # of a hypothesis that hardly counts
     return replace(hypotheses, log_mass=hypotheses.log_mass + (power - 1) * np.log(around)).normalised()
 
 
 def new_share(step_s: float) -> float:
     """Share of an image's evidence that the image so many seconds before has not told, see :func:`tempered`."""
-    return 1 - FILTER.alike * float(np.exp(-step_s / FILTER.alike_s))
+    return 1 - ALIKE * float(np.exp(-step_s / _ALIKE_S))
 
 
 def start(evidence: Candidates, *, known: bool) -> Posterior:
     """The posterior of a frame from its image alone, which shows a known place or does not."""
-    return Posterior(evidence.normalised(), FILTER.wrong if known else FILTER.wrong_if_unknown)
+    return Posterior(evidence.normalised(), _WRONG if known else _WRONG_IF_UNKNOWN)
 
 
 def _log_density(distance2: FloatArray, log_determinant: FloatArray, normaliser: float) -> FloatArray:
     """Logarithm of a normal density in three dimensions, its normaliser raised to a power."""
     return np.asarray(-0.5 * (distance2 + normaliser * (log_determinant + 3 * np.log(2 * np.pi))))
-
-
-def _shared(one: FloatArray, other: FloatArray, total: FloatArray) -> FloatArray:
-    """Variances of the means of two estimates, of which the sharper one's is partly the error of both."""
-    return np.asarray((1 - FILTER.common) * one * other / total + FILTER.common * np.minimum(one, other))
 
 
 def _merged(
@@ -288,8 +262,7 @@ def _rotation_vectors(start: FloatArray, end: FloatArray) -> FloatArray:
     return np.asarray(v * factor[..., None])
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
+class _Step(NamedTuple):
     evidence: Candidates
     known: bool
     motion: RelativeMotion | None
@@ -318,19 +291,12 @@ class Window:
 
 
 class PoseFilter:
-    """Posteriors of a stream: each from the frames so far, and in hindsight those of the last frames.
+    """Posteriors of a stream: each from the frames so far, and in hindsight those of the last frames."""
 
-    Parameters
-    ----------
-    prior
-        Speeds and turning rates to expect.
-    lag
-        Frames before the newest that :meth:`window` holds, at least 0.
-    """
-
-    def __init__(self, prior: MotionPrior, lag: int = FILTER.lag) -> None:
+    def __init__(self, prior: MotionPrior, lag: int = LAG) -> None:
+        """From the speeds and turning rates to expect; :meth:`window` holds `lag` frames before the newest."""
         if lag < 0:
-            raise ReasoningError(f"lag must be at least 0 frames, got {lag}")
+            raise LocalizationError(f"lag must be at least 0 frames, got {lag}")
         self.prior = prior
         self._steps: deque[_Step] = deque(maxlen=lag + 1)
 
@@ -351,7 +317,7 @@ class PoseFilter:
             before = self._steps[-1]
             step_s = timestamp_s - before.timestamp_s
             if not step_s > 0:
-                raise ReasoningError(f"timestamps must increase: {timestamp_s} s follows {before.timestamp_s} s")
+                raise LocalizationError(f"timestamps must increase: {timestamp_s} s follows {before.timestamp_s} s")
             ahead = predict(before.posterior, motion, step_s, self.prior)
             posterior = weigh(ahead, evidence, self.prior, known=known, share=new_share(step_s))
         self._steps.append(_Step(evidence, known, motion, timestamp_s, posterior))
@@ -359,14 +325,8 @@ class PoseFilter:
 
     def window(self) -> Window:
         """The last frames, at most `lag` before the newest; they stay the same when others are pushed."""
-        steps = list(self._steps)
-        seen = Observations(
-            [step.evidence for step in steps],
-            [step.motion for step in steps],
-            np.array([step.timestamp_s for step in steps]),
-            known=np.array([step.known for step in steps]),
-        )
-        return Window(seen, [step.posterior for step in steps])
+        evidence, known, motions, times, posteriors = zip(*self._steps, strict=True)
+        return Window(Observations(evidence, motions, np.array(times), known=np.array(known)), posteriors)
 
 
 def weigh(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, known: bool, share: float) -> Posterior:
@@ -374,7 +334,7 @@ def weigh(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, known:
 
     `share` is that of the image's evidence that others have not told.
     """
-    wrong = FILTER.wrong if known else FILTER.wrong_if_unknown
+    wrong = _WRONG if known else _WRONG_IF_UNKNOWN
     posterior = update(ahead, evidence, prior, wrong=wrong, tempering=share)
     return replace(posterior, unseen_s=0.0 if known else ahead.unseen_s)
 

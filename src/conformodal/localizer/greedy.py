@@ -14,14 +14,13 @@ from conformodal.core.arrays import FloatArray
 from conformodal.geometry import RelativeMotion
 
 from .candidates import BinRuns
-from .errors import ReasoningError
 from .observations import PosePath
 
 _LEAST_NORM = 1e-6
 
 
 class Greedy:
-    """The paper's reasoning on a stream: :meth:`push` chooses one combination of intervals a frame, among all of them.
+    """The paper's reasoning on a stream: :meth:`push` chooses one of all combinations of intervals per frame.
 
     Orientation: the q that minimises ``|q - q_next|`` with ``q_next = quaternion(R_prev R_rel)``; q and -q count as
     one. The square of that distance is a sum over components, so each is minimised by itself. Position: the p that
@@ -54,22 +53,15 @@ class Greedy:
         if norm > _LEAST_NORM:  # components that cancel say nothing
             self._quat = chosen[3:] / norm
         turn = 2 * np.sqrt(np.mean(spreads[3:] ** 2))  # a quaternion moves half as far as the rotation turns
-        return PosePath(
-            np.array([timestamp_s]), self._place[None], spreads[None, :3], self._quat[None], np.array([turn])
-        )
+        times, turns = np.array([timestamp_s]), np.array([turn])
+        return PosePath(times, self._place[None], spreads[None, :3], self._quat[None], turns)
 
 
 def greedy(
     intervals: Sequence[Sequence[BinRuns]], motions: Sequence[RelativeMotion | None], timestamps_s: npt.ArrayLike
 ) -> PosePath:
     """:class:`Greedy` on n frames of one recording; ``motions[t]`` leads from frame t - 1 to frame t."""
-    times = np.asarray(timestamps_s, dtype=np.float64)
-    if not 0 < len(intervals) == len(motions) == len(times):
-        raise ReasoningError(
-            f"greedy needs as many frames as motions and timestamps, at least one: got {len(intervals)} frames, "
-            f"{len(motions)} motions, {len(times)} timestamps"
-        )
-    path = Greedy()
+    path, times = Greedy(), np.asarray(timestamps_s, dtype=np.float64)
     return PosePath.concatenate([path.push(*frame) for frame in zip(intervals, motions, times.tolist(), strict=True)])
 
 

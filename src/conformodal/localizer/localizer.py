@@ -1,4 +1,8 @@
-"""Pose sources that learnt from the same frames, and their joint belief about an image."""
+"""Pose sources that learnt from the same frames, and their joint belief about an image.
+
+A belief is the probability distribution of an image's pose, a mixture of the softmax and absolute pose estimates.
+Regions are calibrated from its marginals over fine cells; its hypotheses are the candidates of the path.
+"""
 
 from __future__ import annotations
 
@@ -10,20 +14,89 @@ from typing import Self, TypeVar
 import numpy as np
 
 from conformodal.conformal import QuantileBins
-from conformodal.core.arrays import FloatArray, IntArray, RealArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 from conformodal.core.parallel import in_threads, raise_if_cancelled
+from conformodal.geometry import fix_sign
 
-from .belief import Beliefs, belief_cells
-from .candidates import mode_candidates
-from .errors import LocalizationError
-from .evidence import FrameEvidence
-from .fusion import fuse
+from . import LocalizationError
+from .candidates import Mixture, fuse, mode_candidates
+from .evidence import FrameEvidence, PoseMeasurement
+from .observations import Posterior
 from .regions import Support
 from .sources.registry import PoseSource, SourceAnswer, SourceData, find_source
 
 Source = TypeVar("Source", bound=PoseSource)
 
 _IMAGES_AT_A_TIME = 256  # seven times some sixteen hundred cells each
+_CELLS = 800  # per target, at least: estimates are more precise than bins
+# cells beyond the bins at each end, each wider than the one before by this factor: poses may be where no training
+# frame was. They reach 2.4 times as far as the 800 cells
+BEYOND, _WIDER = 300, 1.01
+RECOGNISED = 0.9  # inlier probability from which an estimate by local features is a recognised place
+_NEGLIGIBLE = 1e-3  # hypotheses of less probability are left out of the marginals
+_LEAST_ANGLE = 1e-4
+# least share of the image's own belief in a region from a posterior. Chosen on seeds 20 to 22 of redkitchen `blocks`
+# and 20 of the demo
+_LEAST_SHARE = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Beliefs:
+    """Beliefs about the poses of n images."""
+
+    proba: list[RealArray]  # seven arrays (n, K_j): the softmax over the bins
+    mixtures: Sequence[Mixture]  # pose hypotheses, image by image
+    estimates: Sequence[Sequence[PoseMeasurement]]  # from local features, image by image
+
+    def __len__(self) -> int:
+        return len(self.mixtures)
+
+    @property
+    def recognised(self) -> BoolArray:
+        """(n,) whether a place was recognised by local features."""
+        return np.array([bool(recognised_only(estimates)) for estimates in self.estimates], dtype=np.bool_)
+
+    @property
+    def recognition(self) -> FloatArray:
+        """(n,) how strongly a place was recognised: inliers times the share of the image they cover; 0 if none was."""
+        sure = [recognised_only(estimates) for estimates in self.estimates]
+        return np.array([max((one.n_inliers * one.image_share for one in each), default=0.0) for each in sure])
+
+    def part(self, rows: slice | IntArray) -> Beliefs:
+        """The beliefs about some of the images."""
+        numbers = np.arange(len(self))[rows].tolist()
+        mixtures, estimates = [self.mixtures[i] for i in numbers], [self.estimates[i] for i in numbers]
+        return Beliefs([p[rows] for p in self.proba], mixtures, estimates)
+
+    def after(self, posteriors: Sequence[Posterior]) -> Beliefs:
+        """The beliefs once other frames are known: each posterior, and where it is wrong, the image's own belief.
+
+        The latter keeps a share whatever the posterior claims, which may be sure and wrong through a whole stretch.
+        """
+        mixtures = []
+        for mixture, posterior in zip(self.mixtures, posteriors, strict=True):
+            from_posterior = np.ones(len(posterior.hypotheses.log_mass), dtype=np.bool_)
+            joined = posterior.with_image(mixture.candidates, _LEAST_SHARE)
+            mixtures.append(Mixture(joined, np.concatenate((from_posterior, mixture.measured))))
+        return Beliefs(self.proba, mixtures, self.estimates)
+
+    def marginals(self, bins: QuantileBins, cells: QuantileBins, sign_reference: FloatArray) -> list[FloatArray]:
+        """Seven arrays (n, cells) of probabilities whose rows sum to one, over the :func:`belief_cells` of the bins."""
+        n, beyond = cells_per_bin(bins), ((0, 0), (BEYOND, BEYOND))
+        blocks = [np.pad(np.repeat(p.astype(np.float64) / n, n, axis=1), beyond) for p in self.proba]
+        for i, mixture in enumerate(self.mixtures):
+            mass = np.exp(mixture.candidates.log_mass)
+            mass /= mass.sum()
+            counted = mixture.measured & (mass > _NEGLIGIBLE)
+            if not counted.any():
+                continue
+            weights = mass[counted]
+            places, sigmas = _as_targets(mixture, counted, sign_reference)
+            for j, edges in enumerate(cells.edges_):
+                away = (edges - places[:, j, None]) / sigmas[:, j, None]
+                inside = np.maximum(np.diff(_student_cdf(away), axis=1), 0)  # far away, rounding makes some negative
+                blocks[j][i] = blocks[j][i] * (1 - weights.sum()) + weights @ inside
+        return [pool / pool.sum(axis=1, keepdims=True) for pool in blocks]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +114,11 @@ class Localizer:
 
     @classmethod
     def fit_each(cls, data: SourceData, parts: Sequence[IntArray], names: Sequence[str]) -> list[Self]:
-        """A localizer for each part (m,) of the frames, which learns from it alone.
+        """A localizer for each part (m,) of the frames, which learns from it alone; without sources that cannot.
 
-        A source that cannot be fitted is left out. Sources learn in threads. One that uses local features, which takes
-        longest, learns several parts at once, the last part (by default all frames, whose matches the others share)
-        before; others learn part after part: networks share random numbers.
+        Sources learn in threads. One that uses local features, which takes longest, learns several parts at once, the
+        last part (by default all frames, whose matches the others share) before; others learn part after part:
+        networks share random numbers.
         """
         kinds = [find_source(name) for name in names]
 
@@ -68,14 +141,11 @@ class Localizer:
         fitted: dict[tuple[type[PoseSource], int], PoseSource | None] = {}
         for (kind, numbers), sources in zip(jobs, in_threads(fit, jobs), strict=True):
             fitted.update({(kind, k): source for k, source in zip(numbers, sources, strict=True)})
-        return [
-            cls(
-                tuple(source for kind in kinds if (source := fitted[kind, k]) is not None),
-                data.bins_of(frames),
-                data.sign_reference,
-            )
-            for k, frames in enumerate(parts)
-        ]
+        localizers = []
+        for k, frames in enumerate(parts):
+            learnt = tuple(source for kind in kinds if (source := fitted[kind, k]) is not None)
+            localizers.append(cls(learnt, data.bins_of(frames), data.sign_reference))
+        return localizers
 
     @property
     def frames(self) -> IntArray:
@@ -127,3 +197,41 @@ class Localizer:
         if not blocks:
             return [np.full((n, k), 1 / k) for k in self.bins.sizes]
         return blocks[0] if len(blocks) == 1 else [np.mean(columns, axis=0) for columns in zip(*blocks, strict=True)]
+
+
+def recognised_only(estimates: Sequence[PoseMeasurement]) -> list[PoseMeasurement]:
+    """The estimates of an image that are probably inliers."""
+    return [one for one in estimates if one.inlier_probability >= RECOGNISED]
+
+
+def belief_cells(bins: QuantileBins) -> QuantileBins:
+    """Cells that divide the bins, and wider and wider cells beyond them; edges of bins are edges of cells."""
+    growth = np.cumsum(_WIDER ** np.arange(1, BEYOND + 1))
+    edges = []
+    for fine in bins.refine(cells_per_bin(bins)).edges_:
+        steps = (fine[-1] - fine[0]) / (fine.size - 1) * growth
+        edges.append(np.concatenate((fine[0] - steps[::-1], fine, fine[-1] + steps)))
+    return QuantileBins.from_edges(edges)
+
+
+def cells_per_bin(bins: QuantileBins) -> int:
+    """Number of cells per bin."""
+    return max(1, -(-_CELLS // max(bins.sizes)))
+
+
+def _student_cdf(x: FloatArray) -> FloatArray:
+    """Student's t with three degrees of freedom: large errors are more common than under a normal distribution."""
+    scaled = x / np.sqrt(3)
+    return np.asarray(0.5 + (scaled / (1 + scaled**2) + np.arctan(scaled)) / np.pi)
+
+
+def _as_targets(mixture: Mixture, rows: BoolArray, sign_reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Hypotheses as targets and their standard deviations, (m, 7) each."""
+    hypotheses = mixture.candidates
+    quats = fix_sign(hypotheses.orientations_quat_wxyz[rows], sign_reference)
+    # a rotation by a small angle moves a unit quaternion by half of it, orthogonally to itself
+    angle = hypotheses.orientation_spreads_rad[rows, None] / 2 * np.sqrt(np.maximum(1 - quats**2, _LEAST_ANGLE))
+    return (
+        np.concatenate((hypotheses.positions_xyz[rows], quats), axis=1),
+        np.concatenate((hypotheses.position_spreads[rows], angle), axis=1),
+    )

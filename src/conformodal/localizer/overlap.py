@@ -15,42 +15,36 @@ from conformodal.geometry import Trajectory, matrix_from_quat_wxyz, rigid_motion
 from conformodal.io import Recording
 from conformodal.tracking.motions import frame_features
 
-from .settings import OVERLAP
-from .sources.mapping import build_map
+from .sources.landmarks import LandmarkMap
+
+_NEAR_M, _NEAR_DEG = 0.3, 30.0
+_KEYFRAMES, _IMAGES = 150, 40  # of the known recording, that are mapped; of the other, that are localised
+_INLIERS = 25  # distinct, that an estimate needs
+_LEAST = 8  # images that must agree
+_AGREE_DEPTHS, _AGREE_DEG = 0.1, 5.0  # within which motions agree
+# world frames differ by more than this, and by more than half of the motions that agree differ from their median
+_OFFSET_DEPTHS, _OFFSET_DEG = 0.05, 3.0
 
 
 @dataclass(frozen=True)
 class Overlap:
-    """How a recording overlaps with a reference recording.
+    """How a recording overlaps with a reference recording."""
 
-    Attributes
-    ----------
-    share_near
-        Share of its poses within 0.3 m and 30 degrees of a view of the reference.
-    n_queried, n_localized
-        Its images that were looked for in a map of the reference, and those that were localised.
-    n_agree
-        Localised images that agree on one rigid motion from its world frame to that of the reference.
-    offset_m, offset_deg
-        Of that motion, at the middle of its path; NaN where too few agree.
-    frames_differ
-        Whether a rigid offset between the two world frames is likely: it is large beside the depth of the scene, and
-        beside the scatter of the motions that agree.
-    """
-
-    share_near: float
-    n_queried: int = 0
-    n_localized: int = 0
-    n_agree: int = 0
-    offset_m: float = float("nan")
+    share_near: float  # of its poses within 0.3 m and 30 degrees of a view of the reference
+    n_queried: int = 0  # of its images, that were looked for in a map of the reference
+    n_localized: int = 0  # of these, that were localised
+    n_agree: int = 0  # of these, that agree on one rigid motion from its world frame to that of the reference
+    offset_m: float = float("nan")  # of that motion, at the middle of its path; NaN where too few agree
     offset_deg: float = float("nan")
+    # whether a rigid offset between the two world frames is likely: it is large beside the depth of the scene, and
+    # beside the scatter of the motions that agree
     frames_differ: bool = False
 
     def describe(self, reference: str, other: str) -> str:
         """One line for people."""
         near = (
-            f"{other}: {100 * self.share_near:.0f} % of its poses lie within {OVERLAP.near_m:g} m and "
-            f"{OVERLAP.near_deg:g} degrees of a view of {reference}"
+            f"{other}: {100 * self.share_near:.0f} % of its poses lie within {_NEAR_M:g} m and "
+            f"{_NEAR_DEG:g} degrees of a view of {reference}"
         )
         localized = f"{self.n_localized} of {counted(self.n_queried, 'image')} found in a map of it"
         if not np.isfinite(self.offset_m):
@@ -66,23 +60,18 @@ def measure_overlap(reference: Recording, other: Recording, depth_m: float) -> O
 
     A map of landmarks from the reference localises images of the other. World frames differ where their estimates
     differ from the given poses by one rigid motion.
-
-    Raises
-    ------
-    PoseError
-        If one of them has no poses.
     """
     views, poses = reference.poses or reference.require_truth(), other.poses or other.require_truth()
-    near = float(near_known(poses, views, OVERLAP.near_m, np.radians(OVERLAP.near_deg)).mean())
+    near = float(near_known(poses, views, _NEAR_M, np.radians(_NEAR_DEG)).mean())
     if not np.isfinite(depth_m):
         return Overlap(near)
-    mapped, queried = evenly_spread(len(views), OVERLAP.keyframes), evenly_spread(len(poses), OVERLAP.images)
+    mapped, queried = evenly_spread(len(views), _KEYFRAMES), evenly_spread(len(poses), _IMAGES)
     keyframes = in_threads(partial(frame_features, reference), reference.posed[mapped].tolist())
     queries = in_threads(partial(frame_features, other), other.posed[queried].tolist())
-    landmarks = build_map(keyframes, views[mapped].poses_se3, reference.camera, depth_m)
+    landmarks = LandmarkMap.build(keyframes, views[mapped].poses_se3, reference.camera, depth_m)
     motions = []
     for query, frame in zip(queries, queried.tolist(), strict=True):
-        sure = [one for one in landmarks.localize(query) if one.n_inliers >= OVERLAP.inliers]
+        sure = [one for one in landmarks.localize(query) if one.n_inliers >= _INLIERS]
         if sure:
             best = max(sure, key=lambda one: one.n_inliers)
             estimate = rigid_motions(matrix_from_quat_wxyz(best.orientation_quat_wxyz), best.position_xyz)
@@ -93,23 +82,23 @@ def measure_overlap(reference: Recording, other: Recording, depth_m: float) -> O
 
 def compare_world_frames(motions: FloatArray, middle: FloatArray, depth_m: float, overlap: Overlap) -> Overlap:
     """`overlap` with the motion (4, 4) among m that most others agree with, at the middle of the path."""
-    if len(motions) < OVERLAP.least:
+    if len(motions) < _LEAST:
         return overlap
     turns = Rotation.from_matrix(motions[:, :3, :3])
     places = motions[:, :3, :3] @ middle + motions[:, :3, 3]
     off_m = np.linalg.norm(places[:, None] - places[None], axis=2)
     off_rad = np.array([(turns * turn.inv()).magnitude() for turn in turns])
-    agree = (off_m < OVERLAP.agree_depths * depth_m) & (off_rad < np.radians(OVERLAP.agree_deg))
+    agree = (off_m < _AGREE_DEPTHS * depth_m) & (off_rad < np.radians(_AGREE_DEG))
     largest = agree[np.argmax(agree.sum(axis=1))]
     n = int(largest.sum())
-    if n < max(OVERLAP.least, len(motions) / 2):
+    if n < max(_LEAST, len(motions) / 2):
         return replace(overlap, n_agree=n)
     place, turn = np.median(places[largest], axis=0), turns[largest].mean()
     offset_m, offset_deg = float(np.linalg.norm(place - middle)), float(np.degrees(turn.magnitude()))
     scatter_m = np.median(np.linalg.norm(places[largest] - place, axis=1))
     scatter_deg = np.degrees(np.median((turns[largest] * turn.inv()).magnitude()))
-    far = offset_m > max(OVERLAP.offset_depths * depth_m, scatter_m)
-    turned = offset_deg > max(OVERLAP.offset_deg, scatter_deg)
+    far = offset_m > max(_OFFSET_DEPTHS * depth_m, scatter_m)
+    turned = offset_deg > max(_OFFSET_DEG, scatter_deg)
     return replace(overlap, n_agree=n, offset_m=offset_m, offset_deg=offset_deg, frames_differ=bool(far or turned))
 
 

@@ -16,7 +16,7 @@ from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.ranges import as_member
 from conformodal.geometry import Trajectory, orientation_errors_deg, position_errors_m
 
-from .errors import LocalizationError
+from . import LocalizationError
 
 # Where no scene's depth is known: a pose d metres off moves the view of things at a depth of z metres as much as one
 # turned by d / z radians, and rooms are some two metres deep. Other values: benchmarks/results/radius.md.
@@ -37,28 +37,14 @@ class PoseRadius:
     One threshold bounds both errors: a pose is within the radius if the larger of its angle and its distance over
     `metres_per_rad` is at most the threshold, so alpha is not divided between the two. The guarantee is exact because
     `metres_per_rad` does not depend on the true poses of the recordings that calibrate.
-
-    Attributes
-    ----------
-    radius_rad
-        Of the orientation; infinite where there were too few recordings. That of the position is `radius_m`.
-    alpha
-        Miscoverage rate of the two together.
-    guarantee
-        See :class:`Guarantee`.
-    method
-        The path that it is about, one of :data:`~conformodal.pipeline.model.METHODS`.
-    n_recordings
-        Recordings that calibrated it.
-    metres_per_rad
-        Metres of position that weigh as much as one radian: the depth of the scene.
     """
 
-    radius_rad: float
-    alpha: float
+    radius_rad: float  # of the orientation; infinite where there were too few recordings
+    alpha: float  # miscoverage rate of position and orientation together
     guarantee: Guarantee
-    method: str
-    n_recordings: int
+    method: str  # the path that it is about, one of conformodal.pipeline.model.METHODS
+    n_recordings: int  # that calibrated it
+    # metres of position that weigh as much as one radian: the depth of the scene
     metres_per_rad: float = METRES_PER_RAD
 
     def __post_init__(self) -> None:
@@ -120,7 +106,7 @@ def pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, Fl
 def fit_pose_radius(
     errors: Sequence[tuple[npt.ArrayLike, npt.ArrayLike]],
     alpha: Alpha,
-    guarantee: Guarantee | str,
+    guarantee: Guarantee,
     method: str,
     *,
     metres_per_rad: float = METRES_PER_RAD,
@@ -128,16 +114,7 @@ def fit_pose_radius(
     """Radius from the errors of held-out recordings: of each a pair of vectors, see :func:`pose_errors`.
 
     For the others see :class:`PoseRadius`; `metres_per_rad` must not depend on the true poses of these recordings.
-
-    Raises
-    ------
-    LocalizationError
-        If `metres_per_rad` is not positive and finite, or there is no such `guarantee`.
-    ConformodalError
-        If a recording has no frames, errors are NaN, or `alpha` is outside (0, 1).
     """
-    check_metres_per_rad(metres_per_rad)
-    guarantee = as_member(guarantee, Guarantee, "guarantee", LocalizationError)
     scores = [joint_error(metres, np.asarray(radians), metres_per_rad) for metres, radians in errors]
     quantile = hierarchical_quantile if guarantee is Guarantee.FRAME else hierarchical_maximum_quantile
     limit = quantile(scores, alpha)

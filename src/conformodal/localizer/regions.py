@@ -1,28 +1,41 @@
-"""Regions of poses: the cuboids of a product set that hypotheses support.
+"""Calibrated regions of poses, by what they rest on: the cuboids of a product set that hypotheses support.
 
 Sets of single targets, multiplied, have cuboids that no evidence speaks for: the x of one room beside the y of another.
 Of the product at level q only those cuboids stay that contain one of the hypotheses which together hold q of the
 belief. These sets are nested in q, so the score of a pose is the smallest q whose set contains it, and split-conformal
 calibration guarantees their coverage as that of any other score.
+
+Thresholds differ by evidence type (Mondrian calibration, Vovk et al. 2003); whether an image shows a known place is a
+conformal novelty test on the network's features.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal import QuantileBins, Regions, SplitConformal
-from conformodal.conformal.checks import BinProbabilities
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
+from conformodal.conformal import NoveltyTest, QuantileBins, Regions, SplitConformal
+from conformodal.conformal.checks import Alpha, BinProbabilities, as_alpha
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, RealArray
+from conformodal.features.backbone import coarse_features
 from conformodal.geometry import fix_sign
 
 from .candidates import Candidates
-from .places import Place, summarise
+from .evidence import FrameEvidence
+from .observations import Place, summarise
+
+# Default significance levels of the novelty test, where single frames were left out and where stretches or recordings
+# were: the probability that an image of a known place is flagged. Chosen with benchmarks/novelty.py. With K stretches
+# no p-value is below 1 / (K + 1), so a lower level would flag nothing.
+_LEVEL_FRAMES, LEVEL_STRETCHES = 0.015, 0.1
+SHARE_RECOGNISED = 0.5  # of the level, for images in which a place was recognised
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,43 +69,27 @@ class PoseRegions(Regions):
     """Regions of n poses: disjoint cuboids, not the product of the targets' sets.
 
     The sets of single targets, such as :meth:`intervals` and `masks`, are the projections of the cuboids.
-
-    Parameters
-    ----------
-    bins, masks, unbounded
-        Of the product of the targets' sets, see :class:`~conformodal.conformal.Regions`.
-    supports
-        The hypotheses of each image.
-    limits
-        (n,) level up to which hypotheses count.
-    product
-        Whether the region is all of the product, as where each target is calibrated by itself. Its places are still the
-        cuboids that hypotheses support.
     """
 
-    def __init__(
-        self,
-        bins: QuantileBins,
-        masks: Sequence[BoolArray],
-        unbounded: BoolArray,
-        supports: Sequence[Support],
-        limits: RealArray,
-        *,
-        product: bool = False,
-    ) -> None:
-        super().__init__(bins, masks, unbounded)
+    def __init__(self, sets: Regions, supports: Sequence[Support], limits: RealArray, *, product: bool = False) -> None:
+        """From the product of the targets' sets, the hypotheses of each image, and the levels (n,) up to which they
+        count.
+
+        With `product`, the region is all of the product, as where each target is calibrated by itself. Its places are
+        still the cuboids that hypotheses support.
+        """
+        super().__init__(sets.bins, sets.masks, sets.unbounded)
         self.supports, self.limits, self.product = list(supports), np.asarray(limits), product
         self.boxes: list[IntArray] = []  # (b, 7, 2): first cell and one past the last
         projections = [np.zeros_like(mask) for mask in self.masks]
         for i, (support, limit) in enumerate(zip(self.supports, self.limits, strict=True)):
-            runs = super().runs(i)
-            boxes = _supported(runs, support, [mask[i] for mask in self.masks], limit)
+            boxes = _supported(super().runs(i), support, [mask[i] for mask in self.masks], limit)
             self.boxes.append(boxes)
             for j, mask in enumerate(projections):
                 for low, high in boxes[:, j]:
                     mask[i, low:high] = True
         if not product:
-            self.masks = [mask | unbounded[:, j, None] for j, mask in enumerate(projections)]
+            self.masks = [mask | self.unbounded[:, j, None] for j, mask in enumerate(projections)]
             self._stacked = None
 
     def __getitem__(self, index: slice | BoolArray | npt.NDArray[np.integer]) -> PoseRegions:
@@ -175,12 +172,12 @@ def pose_regions(
 ) -> PoseRegions:
     """Regions of n images at thresholds (n, 7), or (7,), of the rule's score.
 
-    `proba` are seven arrays (n, cells), see :meth:`~conformodal.localizer.belief.Beliefs.marginals`.
+    `proba` are seven arrays (n, cells), see :meth:`~conformodal.localizer.localizer.Beliefs.marginals`.
     """
-    product = rule.regions_at(BinProbabilities(proba), thresholds)
-    limits = np.broadcast_to(thresholds, product.unbounded.shape)
-    limits = limits.min(axis=1) if _in_shares(rule) else np.full(len(product), np.inf)
-    return PoseRegions(product.bins, product.masks, product.unbounded, supports, limits, product=rule.joint != "max")
+    sets = rule.regions_at(BinProbabilities(proba), thresholds)
+    limits = np.broadcast_to(thresholds, sets.unbounded.shape)
+    limits = limits.min(axis=1) if _in_shares(rule) else np.full(len(sets), np.inf)
+    return PoseRegions(sets, supports, limits, product=rule.joint != "max")
 
 
 def pose_scores(
@@ -221,3 +218,181 @@ def _highest_between(row: FloatArray, at: int, cells: IntArray) -> FloatArray:
 def _in_shares(rule: SplitConformal) -> bool:
     """Whether thresholds are shares of the belief, as levels of hypotheses are."""
     return rule.joint == "max" and bool(getattr(rule.score_, "normalised", False))
+
+
+class EvidenceType(IntEnum):
+    """What a region is based on; each type has its own thresholds."""
+
+    GLOBAL = 0  # the image as a whole: the model uses no local features
+    UNMATCHED = 1  # local features recognised no place
+    LANDMARKS = 2  # they recognised a place
+    UNKNOWN = 3  # the image is novel, or from beyond the range of known poses: the region is unbounded
+    DISTURBED = 4  # the model uses local features; the image is blurred, dark, bright or noisy as no training image is
+
+
+@dataclass(frozen=True, eq=False)
+class RegionRules:
+    """Calibration scores of n frames, and thresholds from them.
+
+    Each evidence type is calibrated on the calibration frames of that type, so the guarantee holds within each type:
+    exactly where frames calibrate; where stretches do, provided that the sources of the folds assign types as those of
+    all frames do. A type with too little weight for a finite threshold at alpha has unbounded regions.
+
+    ``DISTURBED`` is calibrated on copies of calibration frames that were disturbed at random, see
+    :class:`~conformodal.io.Disturbance`, so its guarantee is about images disturbed likewise.
+    Its thresholds are no smaller than the finite ones of ``UNMATCHED`` and ``LANDMARKS``.
+
+    Frames with a p-value of at most `level` are :attr:`EvidenceType.UNKNOWN`; those in which a place was recognised, of
+    at most half of it, see :meth:`is_known`.
+    """
+
+    overall: SplitConformal  # calibrated on all frames
+    recognised: BoolArray | None  # (n,) whether a place was recognised in each; None without local features
+    known_p: FloatArray  # (n,) p-values of the frames, see PlaceNovelty
+    level: float  # significance level of the novelty test
+    disturbed: SplitConformal | None = None  # on m disturbed frames
+    disturbed_p: FloatArray | None = None  # (m,) their p-values
+
+    def is_known(self, p: FloatArray, recognised: BoolArray | bool = False) -> BoolArray:
+        """(m,) whether images show a known place, from their p-values and whether a place was recognised in them.
+
+        Recognition counts by itself: a known view from further away than any calibration frame is recognised, weakly.
+        """
+        return np.asarray(p > np.where(recognised, SHARE_RECOGNISED * self.level, self.level))
+
+    @property
+    def known(self) -> BoolArray:
+        """(n,) whether each frame shows a known place."""
+        return self.is_known(self.known_p, False if self.recognised is None else self.recognised)
+
+    @cached_property
+    def by_type(self) -> dict[EvidenceType, SplitConformal]:
+        """Each evidence type but ``UNKNOWN``, calibrated on its own frames, however few."""
+        if self.recognised is None:
+            return {EvidenceType.GLOBAL: part_of(self.overall, self.known)}
+        rules = {
+            EvidenceType.UNMATCHED: part_of(self.overall, self.known & ~self.recognised),
+            EvidenceType.LANDMARKS: part_of(self.overall, self.known & self.recognised),
+        }
+        if self.disturbed is not None and self.disturbed_p is not None:
+            rules[EvidenceType.DISTURBED] = part_of(self.disturbed, self.disturbed_p > self.level)
+        return rules
+
+    def kinds(self, known_p: FloatArray, recognised: BoolArray, disturbed: BoolArray | bool = False) -> IntArray:
+        """(m,) evidence types of new images, from their p-values, NaN if not tested.
+
+        `recognised` says whether a place was recognised by local features, `disturbed` whether the image's quality is
+        out of range.
+        """
+        kinds = np.full(len(known_p), EvidenceType.GLOBAL)
+        if self.recognised is not None:
+            kinds = np.where(recognised, EvidenceType.LANDMARKS, EvidenceType.UNMATCHED)
+        kinds = np.where(disturbed & (self.disturbed is not None), EvidenceType.DISTURBED, kinds)
+        tested_unknown = np.isfinite(known_p) & ~self.is_known(known_p, kinds == EvidenceType.LANDMARKS)
+        return np.where(tested_unknown, EvidenceType.UNKNOWN, kinds).astype(np.int64)
+
+    def thresholds(self, kinds: IntArray) -> RealArray:
+        """(m, 7) thresholds of images with these evidence types.
+
+        Disturbed images have at least the finite thresholds of the types that they would have otherwise: an image may
+        as well leave the range of qualities by chance.
+        """
+        limits = np.full((len(kinds), self.overall.bins.n_targets), np.inf)
+        for kind, rule in self.by_type.items():
+            limits[kinds == kind] = rule.thresholds_
+        disturbed = kinds == EvidenceType.DISTURBED
+        for kind in self.by_type.keys() & {EvidenceType.UNMATCHED, EvidenceType.LANDMARKS}:
+            finite = np.where(np.isfinite(self.by_type[kind].thresholds_), self.by_type[kind].thresholds_, -np.inf)
+            limits[disturbed] = np.maximum(limits[disturbed], finite)
+        return limits
+
+    def at(self, alpha: Alpha) -> RegionRules:
+        """The same calibration at another miscoverage rate: regions at a lower rate contain those at a higher one."""
+        rate = float(as_alpha(alpha))
+        disturbed = None if self.disturbed is None else self.disturbed.at(rate)
+        return replace(self, overall=self.overall.at(rate), disturbed=disturbed)
+
+
+def part_of(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:
+    """A rule calibrated on some of its frames (n,) alone."""
+    part = SplitConformal(rule.bins, rule.alpha, rule.score, rule.joint, rule.empty)
+    if rule.joint == "max":
+        loc, scale = rule.scales()
+        part.set_scale(scale, loc)
+    if rule.units_ is None:
+        return part.calibrate_scores(rule.scores_[chosen])
+    # a frame keeps its weight in its stretch, so that the guarantees of all types add up to that of a new stretch
+    _, group, counts = np.unique(rule.units_, return_inverse=True, return_counts=True)
+    return part.calibrate_scores(rule.scores_[chosen], rule.units_[chosen], counts[group][chosen])
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceNovelty:
+    """The novelty test against the frames that the sources learnt from.
+
+    Null hypothesis: the image is exchangeable with left-out frames (or stretches, or recordings) of the training data.
+    The p-values are exact if the network was not trained on them.
+    """
+
+    test: NoveltyTest  # of the image's appearance: its distance to the most similar known frame
+    grid: tuple[int, int]  # rows and columns of the network's map
+    # with local features: images in which a place was recognised rank below all others, the more strongly the lower, so
+    # that no change of light makes them novel. Calibrated on held-out frames; None without local features
+    matched: NoveltyTest | None = None
+    # of disturbed images in which a place was recognised, which is harder in them; None if they are not calibrated
+    disturbed: NoveltyTest | None = None
+
+    @classmethod
+    def fit(cls, features: Float32Array, pieces: IntArray, grid: tuple[int, int]) -> Self | None:
+        """From features (n, F), and labels (n,) of what is left out together; None for fewer than two labels."""
+        if len(np.unique(pieces)) < 2:
+            return None
+        return cls(NoveltyTest(coarse_features(features, grid).astype(np.float16), pieces), grid)
+
+    def calibrated(self, distances: FloatArray, recognition: FloatArray, groups: IntArray) -> NoveltyTest:
+        """A test on what held-out frames (m,), exchangeable in their groups, are like with local features."""
+        return self.test.rescored(self.ranked(distances, recognition), groups)
+
+    @staticmethod
+    def ranked(distances: FloatArray, recognition: FloatArray) -> FloatArray:
+        """Novelty scores of images whose local features were matched: below 0 where a place was recognised."""
+        return np.where(recognition > 0, -recognition, distances)
+
+    def disturbed_p(self, test: NoveltyTest) -> FloatArray:
+        """(m,) p-values of the disturbed frames that calibrate `test`, as those of new images will be."""
+        assert self.matched is not None
+        return np.asarray(np.where(test.scores_ < 0, test.left_out_p_values(), self.matched.p_values(test.scores_)))
+
+    def distances(self, evidence: FrameEvidence, left_out: IntArray | None = None) -> FloatArray:
+        """(n,) distances of images to the most similar known frame, not counting those of labels `left_out` (n,)."""
+        # rounded like the references, so that an image equals itself
+        return self.test.scores(evidence.coarse(self.grid).astype(np.float16), left_out)
+
+    def p_values(
+        self, evidence: FrameEvidence, recognition: FloatArray | None = None, disturbed: BoolArray | bool = False
+    ) -> FloatArray:
+        """(n,) p-values of images; a small one indicates an unknown place.
+
+        `recognition` (n,) is :attr:`~conformodal.localizer.localizer.Beliefs.recognition`, None for appearance alone.
+        `disturbed` (n,) says whether an image's quality is out of range.
+        """
+        distances = self.distances(evidence)
+        if self.matched is None or recognition is None:
+            return self.test.p_values(distances)
+        scores = self.ranked(distances, recognition)
+        p = self.matched.p_values(scores)
+        if self.disturbed is not None:
+            rows = disturbed & (recognition > 0)  # others are as novel as their appearance
+            p[rows] = self.disturbed.p_values(scores[rows])
+        return p
+
+    def level(self, asked: float | None) -> float:
+        """The significance level: the given one, or the default of :class:`~conformodal.pipeline.config.ModelConfig`.
+
+        The default is at least the smallest possible p-value, since no image is flagged below it.
+        """
+        if asked is not None:
+            return asked
+        by_frame = bool((self.test.weights_ == 1).all())
+        least = max(test.least_p for test in (self.test, self.matched) if test is not None)
+        return max(_LEVEL_FRAMES if by_frame else LEVEL_STRETCHES, least)

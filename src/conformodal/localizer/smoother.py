@@ -18,12 +18,40 @@ from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.geometry import RelativeMotion, Submap, matrix_from_quat_wxyz
 from conformodal.geometry.adjustment import cauchy
 
-from .errors import ReasoningError
-from .observations import Observations, PosePath
-from .prior import MotionPrior, rotation_sigma
-from .settings import SMOOTHER
+from . import LocalizationError
+from .observations import MotionPrior, Observations, PosePath, rotation_sigma, same_place
 
 _UNKNOWNS = 7  # of a submap's alignment with the world: start (3), scale, rotation (3)
+_ITERATIONS = 12  # at most, of each problem
+# share of the scene's depth. A smaller residual of a position is never down-weighted, however small its standard
+# deviation: errors that all sources and the given poses have in common are not part of it
+_TOLERATED = 0.01
+_SUBMAP_ORIENTATION_SIGMA_RAD = float(np.radians(10.0))  # standard deviation of the orientation of a whole submap
+_SUBMAP_SCALE_RESET = 5.0  # a submap whose scale leaves the expected one by more than this factor starts again there
+# least spreads, as a share of the depth and in radians, with which an image that shows no known place goes in
+_UNKNOWN_SPREAD, _UNKNOWN_SPREAD_RAD = 0.2, 0.5
+
+
+def image_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:
+    """The hypotheses of single images that a path of :func:`choose_places` stands for, with spreads of the images.
+
+    This is what a smoother starts from: it weighs in the neighbours in time itself. An image that shows no known place
+    says little of its pose, and gets wide spreads.
+    """
+    positions, spreads = path.positions_xyz.copy(), path.position_spreads.copy()
+    quats, turns = path.orientations_quat_wxyz.copy(), path.orientation_spreads_rad.copy()
+    for t, hypotheses in enumerate(seen.candidates):
+        rows = np.flatnonzero(same_place(hypotheses, positions[t], quats[t], prior))
+        if rows.size:
+            off2 = ((hypotheses.positions_xyz[rows] - positions[t]) ** 2).sum(axis=1)
+            wide2 = (hypotheses.position_spreads[rows] ** 2).sum(axis=1) + (spreads[t] ** 2).sum()
+            best = rows[np.argmax(hypotheses.log_mass[rows] - 0.5 * off2 / wide2)]
+            positions[t], spreads[t] = hypotheses.positions_xyz[best], hypotheses.position_spreads[best]
+            quats[t], turns[t] = hypotheses.orientations_quat_wxyz[best], hypotheses.orientation_spreads_rad[best]
+    unknown = ~seen.is_known
+    spreads[unknown] = np.maximum(spreads[unknown], _UNKNOWN_SPREAD * prior.scale_m)
+    turns[unknown] = np.maximum(turns[unknown], _UNKNOWN_SPREAD_RAD)
+    return PosePath(path.timestamps_s, positions, spreads, quats, turns)
 
 
 def smooth(path: PosePath, seen: Observations, prior: MotionPrior) -> PosePath:
@@ -61,7 +89,7 @@ def smooth_orientations(
     rows = np.arange(n_links + 1)
     ends = sparse.bsr_array((np.tile(np.eye(3), (n_links, 1, 1)), end, rows), shape=(3 * n_links, 3 * n))
     now = chosen
-    for _ in range(SMOOTHER.iterations):
+    for _ in range(_ITERATIONS):
         r_chosen = (chosen.inv() * now).as_rotvec() / spreads_rad[:, None]
         between = now[start].inv() * now[end]
         r_link = (link.inv() * between).as_rotvec() / sigma[:, None]
@@ -115,7 +143,7 @@ def smooth_positions(
     if n < 3:
         return positions_xyz.copy()
     if not (spreads > 0).all():
-        raise ReasoningError("spreads must be positive")
+        raise LocalizationError("spreads must be positive")
     dt = np.diff(timestamps_s)
     second = _second_differences(dt)
     step = (dt[1:] + dt[:-1]) / 2
@@ -123,9 +151,9 @@ def smooth_positions(
     bends = sparse.kron(second, sparse.eye_array(3)).tocsr()
     depth_is_finite = bool(np.isfinite(prior.depth_m))
     alignment = _SubmapAlignment(submaps, quats_wxyz, prior) if submaps and depth_is_finite else None
-    tolerated_m = SMOOTHER.tolerated * prior.depth_m if depth_is_finite else 0.0
+    tolerated_m = _TOLERATED * prior.depth_m if depth_is_finite else 0.0
     now = positions_xyz.copy()
-    for iteration in range(SMOOTHER.iterations):
+    for iteration in range(_ITERATIONS):
         residual = now - positions_xyz
         counted = _share_beyond(np.linalg.norm(residual, axis=1), tolerated_m)
         standard = np.linalg.norm(residual / spreads, axis=1) * counted
@@ -185,7 +213,7 @@ class _SubmapAlignment:
         # (m, 3 n + 7 submaps): position minus the submap's position, metres; and (m,) one over the variances
         self._rows = sparse.csr_array(sparse.hstack([here, sparse.block_diag(blocks)]))
         self._weights = 1 / np.concatenate(variances)
-        self._rotation_weight = np.array([s.span for s in submaps]) / SMOOTHER.submap_orientation_sigma_rad**2
+        self._rotation_weight = np.array([s.span for s in submaps]) / _SUBMAP_ORIENTATION_SIGMA_RAD**2
 
     def solve(self, matrix: sparse.csr_array, right: FloatArray) -> FloatArray:
         """Solve for the positions and the alignment together; the next solution is linearised about this one."""
@@ -200,7 +228,7 @@ class _SubmapAlignment:
         """Prior weights (7 submaps,) of the unknowns, and weights times expected values."""
         # normal in the logarithm of the scale, linearised about the scale so far
         scale, expected = self._scale, self._expected
-        lost = ~((scale > expected / SMOOTHER.submap_scale_reset) & (scale < expected * SMOOTHER.submap_scale_reset))
+        lost = ~((scale > expected / _SUBMAP_SCALE_RESET) & (scale < expected * _SUBMAP_SCALE_RESET))
         around = np.where(lost, expected, scale)
         weight = 1 / (self._spread * around) ** 2
         value = around * (1 - np.log(around / expected))

@@ -24,25 +24,23 @@ from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.local import QualityRange
 from conformodal.geometry import RelativeMotion
 from conformodal.io import Disturbance, Recording
-from conformodal.localizer.belief import Beliefs, belief_cells
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.filter import Posterior, Window, filter_posteriors, hindsight_posteriors
-from conformodal.localizer.localizer import Localizer
-from conformodal.localizer.novelty import PlaceNovelty
-from conformodal.localizer.observations import Observations
-from conformodal.localizer.places import choose_places, same_place
-from conformodal.localizer.prior import MotionPrior
-from conformodal.localizer.region_rules import EvidenceType, RegionRules, part_of
-from conformodal.localizer.regions import pose_scores
-from conformodal.localizer.settings import FILTER
+from conformodal.localizer.filter import LAG, Window, filter_posteriors, hindsight_posteriors
+from conformodal.localizer.localizer import Beliefs, Localizer, belief_cells
+from conformodal.localizer.observations import MotionPrior, Observations, Posterior, choose_places, same_place
+from conformodal.localizer.regions import EvidenceType, PlaceNovelty, RegionRules, part_of, pose_scores
 from conformodal.localizer.sources.registry import SourceData
 from conformodal.tracking.motions import frame_features
 
 from .config import ModelConfig
 from .errors import OdometryError
 from .folds import Folds
-from .model import HINDSIGHT, LAGGED, ONLINE, PATHS, SourceComparison, path_rule
+from .model import HINDSIGHT, LAGGED, ONLINE, PATHS, RELIABLE, SourceComparison, path_rule
 
+# The probability from which a pose counts as reliable is raised, at most to this, until held-out frames with a wrong
+# place that is so probable have at most this share
+MOST_RELIABLE, _SURE_AND_WRONG = 0.99, 0.01
+_LAGGED_FRAMES = 200  # held-out frames that calibrate regions at the lag, about: each takes as many steps as the lag
 _MOST_COMPARED = 120  # each is answered twice
 _MOST_DISTURBED, _DISTURBED_SEED = 200, 0  # calibration frames, and the seed of kinds and strengths
 
@@ -68,7 +66,7 @@ class CalibratedPaths:
     """What held-out frames calibrate that are run as streams."""
 
     rules: dict[str, SplitConformal] = field(default_factory=dict)  # by path: posterior to region
-    reliable_p: float = FILTER.reliable  # a pose counts as reliable from this probability of its place
+    reliable_p: float = RELIABLE  # a pose counts as reliable from this probability of its place
 
 
 def calibrate_regions(
@@ -273,9 +271,9 @@ def calibrate_paths(
             forward = filter_posteriors(observations, prior)
             posteriors[ONLINE] |= dict(zip(rows, forward, strict=True))
             posteriors[HINDSIGHT] |= dict(zip(rows, hindsight_posteriors(observations, prior, forward), strict=True))
-            drawn = FILTER.lagged / n_streams if folds.units is not None else FILTER.lagged * len(at) / n
-            for k in rng.permutation(max(len(at) - FILTER.lag, 0))[: math.ceil(drawn)].tolist():
-                window = slice(k, k + FILTER.lag + 1)
+            drawn = _LAGGED_FRAMES / n_streams if folds.units is not None else _LAGGED_FRAMES * len(at) / n
+            for k in rng.permutation(max(len(at) - LAG, 0))[: math.ceil(drawn)].tolist():
+                window = slice(k, k + LAG + 1)
                 posteriors[LAGGED][rows[k]] = Window(observations.part(window), forward[window]).first(prior)
             best, probability = choose_places(forward, observations.timestamps_s, prior)
             true = truth[frames]
@@ -297,7 +295,7 @@ def calibrate_paths(
 
 def _path_thresholds(overall: SplitConformal, scored: dict[str, list[_Scored]], wrong: FloatArray) -> CalibratedPaths:
     """From the scores of the folds by path, and the probabilities (n,) of wrong places online."""
-    labels, rules, reliable_p = overall.units_, {}, FILTER.reliable
+    labels, rules, reliable_p = overall.units_, {}, RELIABLE
     for path, parts in scored.items():
         if not parts:
             continue
@@ -315,8 +313,8 @@ def _reliable_p(wrong: FloatArray, labels: IntArray | None) -> float:
     """From the probabilities (n,) of places of held-out frames: of wrong ones whose region misses, -inf of others."""
     unit = np.unique(np.arange(len(wrong)) if labels is None else labels, return_inverse=True)[1]
     streams = [wrong[unit == k] for k in range(unit.max() + 1)]
-    least = hierarchical_quantile(streams, max(Fraction(FILTER.sure_and_wrong), Fraction(1, len(streams) + 1)))
-    return min(max(FILTER.reliable, float(np.nextafter(least, 2.0))), FILTER.most_reliable)
+    least = hierarchical_quantile(streams, max(Fraction(_SURE_AND_WRONG), Fraction(1, len(streams) + 1)))
+    return min(max(RELIABLE, float(np.nextafter(least, 2.0))), MOST_RELIABLE)
 
 
 def compare_sources(

@@ -14,12 +14,9 @@ from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.ranges import as_member
 from conformodal.geometry import RelativeMotion, Trajectory
 from conformodal.localizer.candidates import Candidates, mixture_covariance
-from conformodal.localizer.filter import Posterior
-from conformodal.localizer.measurement import PoseMeasurement
-from conformodal.localizer.observations import Observations
-from conformodal.localizer.places import Place
-from conformodal.localizer.region_rules import EvidenceType
-from conformodal.localizer.regions import PoseRegions
+from conformodal.localizer.evidence import PoseMeasurement
+from conformodal.localizer.observations import Observations, Place, Posterior
+from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.tracking.submaps import build_submaps
 from conformodal.tracking.tracker import Corners
 

@@ -24,12 +24,9 @@ from conformodal.io.decoding import grey_image
 from conformodal.io.streams.prefetch import prefetch
 from conformodal.io.streams.stored import RecordingStream
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.filter import PoseFilter, Posterior, Window
-from conformodal.localizer.places import choose_places, find_places
-from conformodal.localizer.prior import MotionPrior
-from conformodal.localizer.region_rules import EvidenceType
-from conformodal.localizer.regions import PoseRegions
-from conformodal.localizer.settings import FILTER
+from conformodal.localizer.filter import LAG, PoseFilter, Window
+from conformodal.localizer.observations import MotionPrior, Posterior, choose_places, find_places
+from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.tracking.tracker import FrontEnd, MotionFrontEnd, affine_flow
 
 from .config import Method
@@ -191,7 +188,7 @@ class VisualOdometry(Odometry):
     answer = METHODS[0]
     whole_paths = True  # better answers than those of a stream follow, from whole paths
 
-    def __init__(self, model: PoseModel, lag: int = FILTER.lag) -> None:
+    def __init__(self, model: PoseModel, lag: int = LAG) -> None:
         if model.method is Method.PAPER:
             raise OdometryError("the model was trained with the paper's method; PaperOdometry runs it")
         self.model = model
@@ -251,7 +248,7 @@ class VisualOdometry(Odometry):
             return None
         then, posterior = self._recent[0], self._filter.window().first(self.model.prior)
         assert then.localization is not None
-        path = LAGGED if self.lag == FILTER.lag else ""
+        path = LAGGED if self.lag == LAG else ""
         estimate = self._estimate(then.localization, then.relative_motion, then.timestamp_s, posterior, path)
         return replace(estimate, tracks=then.tracks, corners=then.corners)
 

@@ -11,11 +11,10 @@ from conformodal.conformal import SplitConformal, grouped_coverage_band
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, Rows
 from conformodal.core.words import finite_or_none
 from conformodal.geometry import Trajectory, trajectory_errors
-from conformodal.localizer.places import same_place
+from conformodal.localizer.candidates import TARGET_NAMES, pose_targets
+from conformodal.localizer.observations import same_place
 from conformodal.localizer.radius import PoseRadius
-from conformodal.localizer.region_rules import EvidenceType
-from conformodal.localizer.regions import PoseRegions
-from conformodal.localizer.targets import TARGET_NAMES, pose_targets
+from conformodal.localizer.regions import EvidenceType, PoseRegions
 
 from .model import ONLINE, PoseModel, SourceComparison
 
@@ -69,7 +68,7 @@ class RegionStatistics(Rows):
     length: FloatArray  # of the set, in the target's unit; infinite for the whole line
     n_intervals: IntArray  # that the set falls into
     unbounded: BoolArray  # whether it is the whole line
-    # (n,) what each region rests on, see :class:`~conformodal.localizer.region_rules.EvidenceType`
+    # (n,) what each region rests on, see :class:`~conformodal.localizer.regions.EvidenceType`
     kinds: IntArray
     held: BoolArray  # (n,) whether the region holds the whole pose
     n_places: IntArray  # (n,) cuboids that it consists of

@@ -18,17 +18,20 @@ from conformodal.features.backbone import Backbone
 from conformodal.features.local import QualityRange
 from conformodal.geometry import PinholeCamera
 from conformodal.io import Split, SplitKind
-from conformodal.localizer.belief import Beliefs
 from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.filter import Posterior
-from conformodal.localizer.localizer import Localizer
-from conformodal.localizer.novelty import PlaceNovelty
-from conformodal.localizer.prior import MotionPrior
+from conformodal.localizer.localizer import Beliefs, Localizer
+from conformodal.localizer.observations import MotionPrior, Posterior
 from conformodal.localizer.radius import PoseRadius
-from conformodal.localizer.region_rules import EvidenceType, RegionRules
-from conformodal.localizer.regions import PoseRegions, Support, pose_regions
-from conformodal.localizer.settings import FILTER, NOVELTY
+from conformodal.localizer.regions import (
+    SHARE_RECOGNISED,
+    EvidenceType,
+    PlaceNovelty,
+    PoseRegions,
+    RegionRules,
+    Support,
+    pose_regions,
+)
 from conformodal.localizer.sources.landmarks import LandmarkSource
 
 from .config import Method
@@ -41,6 +44,7 @@ PATHS = ONLINE, LAGGED, HINDSIGHT = "online", "lagged", "hindsight"
 # Methods that give a trajectory. The first is the answer of a run.
 METHODS = "smoothed", HINDSIGHT, ONLINE
 PAPERS_METHOD = "greedy"
+RELIABLE = 0.9  # least probability of the chosen place with which a pose counts as reliable
 _SIGMAS = 2  # standard errors that a comparison of sources allows
 
 
@@ -94,7 +98,7 @@ class Localization:
     beliefs: Beliefs
     regions: PoseRegions
     known_p: FloatArray  # (n,) p-values of "this image shows a known place"; NaN where images are not tested
-    kinds: IntArray  # (n,) evidence types, see :class:`~conformodal.localizer.region_rules.EvidenceType`
+    kinds: IntArray  # (n,) evidence types, see :class:`~conformodal.localizer.regions.EvidenceType`
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:
@@ -166,7 +170,7 @@ class PoseModel:
     radius: PoseRadius | None = None
     comparison: SourceComparison | None = None
     path_rules: dict[str, SplitConformal] = field(default_factory=dict)
-    reliable_p: float = FILTER.reliable
+    reliable_p: float = RELIABLE
     quality: QualityRange | None = None
 
     def __post_init__(self) -> None:
@@ -191,7 +195,7 @@ class PoseModel:
     @property
     def recognised_level(self) -> float:
         """Significance level of the novelty test where a place was recognised; 0 if no p-value is as small."""
-        level = NOVELTY.share_recognised * float(self.rules.level)
+        level = SHARE_RECOGNISED * float(self.rules.level)
         matched = None if self.novelty is None else self.novelty.matched
         return level if matched is None or matched.least_p <= level else 0.0
 

@@ -8,8 +8,7 @@ from conformodal.core.arrays import Float32Array, UInt8Array
 from conformodal.localizer.candidates import interval_candidates, interval_runs
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.greedy import Greedy
-from conformodal.localizer.region_rules import EvidenceType
-from conformodal.localizer.regions import Support, pose_regions
+from conformodal.localizer.regions import EvidenceType, Support, pose_regions
 from conformodal.tracking.tracker import EssentialFrontEnd
 
 from .config import Method

@@ -23,10 +23,9 @@ from conformodal.core.words import as_utf8, finite_or_none
 from conformodal.geometry import RelativeMotion, Trajectory
 from conformodal.io.folders import FolderError, writing_in
 from conformodal.io.pose_files import TUM_HEADER, read_tum, tum_lines
-from conformodal.localizer.places import Place
-from conformodal.localizer.region_rules import EvidenceType
-from conformodal.localizer.regions import PoseRegions
-from conformodal.localizer.targets import TARGET_NAMES, pose_targets
+from conformodal.localizer.candidates import TARGET_NAMES, pose_targets
+from conformodal.localizer.observations import Place
+from conformodal.localizer.regions import EvidenceType, PoseRegions
 
 from .config import Method
 from .errors import ResultsError

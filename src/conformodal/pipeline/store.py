@@ -29,10 +29,9 @@ from conformodal.features.local import QualityRange
 from conformodal.geometry import PinholeCamera
 from conformodal.io import Split
 from conformodal.localizer.localizer import Localizer
-from conformodal.localizer.novelty import PlaceNovelty
-from conformodal.localizer.prior import MotionPrior
+from conformodal.localizer.observations import MotionPrior
 from conformodal.localizer.radius import PoseRadius
-from conformodal.localizer.region_rules import RegionRules
+from conformodal.localizer.regions import PlaceNovelty, RegionRules
 from conformodal.localizer.sources.registry import PoseSource, SourceState, find_source
 
 from .errors import ModelFileError

@@ -14,13 +14,10 @@ from conformodal.core.arrays import IntArray
 from conformodal.core.parallel import release_freed_memory
 from conformodal.geometry import Trajectory, concatenate
 from conformodal.io.streams.frames import Frame, SourceError
-from conformodal.localizer.filter import Posterior, hindsight_posteriors
-from conformodal.localizer.observations import Observations, PosePath
-from conformodal.localizer.places import choose_places, image_hypotheses
-from conformodal.localizer.prior import MotionPrior
-from conformodal.localizer.region_rules import EvidenceType
-from conformodal.localizer.regions import PoseRegions
-from conformodal.localizer.smoother import smooth
+from conformodal.localizer.filter import hindsight_posteriors
+from conformodal.localizer.observations import MotionPrior, Observations, PosePath, Posterior, choose_places
+from conformodal.localizer.regions import EvidenceType, PoseRegions
+from conformodal.localizer.smoother import image_hypotheses, smooth
 
 from .estimates import Estimate, FrameEstimator, observations_of
 from .evaluate import RegionStatistics, path_coverage_table

@@ -12,10 +12,10 @@ from conformodal.core.progress import StageProgress, stage_of
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.geometry import RelativeMotion, sign_reference
 from conformodal.io import Recording, make_split, with_random_calibration
+from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.localizer import Localizer
-from conformodal.localizer.novelty import PlaceNovelty
-from conformodal.localizer.prior import MotionPrior, fit_motion_prior
-from conformodal.localizer.targets import pose_targets
+from conformodal.localizer.observations import MotionPrior, fit_motion_prior
+from conformodal.localizer.regions import PlaceNovelty
 from conformodal.tracking.motions import measure_motions
 
 from .calibrate import (

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from conformodal.core.words import counted, finite_or_none
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import EvidenceType
 
 from .examining import RecordingQuality
 from .guarantee import EvidenceGuarantee

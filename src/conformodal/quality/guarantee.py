@@ -8,7 +8,7 @@ import numpy as np
 
 from conformodal.conformal import coverage_band
 from conformodal.core.words import counted
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.model import PoseModel
 
 N_NEW = 1000

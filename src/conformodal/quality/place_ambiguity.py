@@ -9,8 +9,8 @@ import numpy as np
 
 from conformodal.core.arrays import IntArray
 from conformodal.geometry import Trajectory
-from conformodal.localizer.places import Place
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.observations import Place
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.model import Localization
 
 from .settings import QUALITY

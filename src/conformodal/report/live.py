@@ -13,8 +13,7 @@ from conformodal.core.extras import require_extra
 from conformodal.core.words import as_utf8
 from conformodal.geometry import Trajectory
 from conformodal.io.streams.frames import Frame
-from conformodal.localizer.region_rules import EvidenceType
-from conformodal.localizer.regions import PoseRegions
+from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.pipeline.estimates import Estimate
 
 _MOST_CUBOIDS = 256

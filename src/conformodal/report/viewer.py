@@ -14,7 +14,7 @@ from conformodal.core.arrays import FloatArray, UInt8Array
 from conformodal.core.extras import require_extra
 from conformodal.core.words import counted
 from conformodal.geometry import Trajectory, angle_between_quats
-from conformodal.localizer.region_rules import EvidenceType
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.model import ONLINE
 from conformodal.pipeline.results import records_hold
 

@@ -22,8 +22,7 @@ from conformodal.core.extras import require_extra
 from conformodal.core.words import as_utf8
 from conformodal.geometry import Trajectory
 from conformodal.localizer.candidates import Candidates, weights_of
-from conformodal.localizer.region_rules import EvidenceType
-from conformodal.localizer.regions import PoseRegions
+from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.pipeline.estimates import Estimate
 
 # Called with the name of a type and some of its fields. Sequences of numbers are given as an array.array, those of

@@ -1,7 +1,6 @@
 """Which frames the landmarks look at: those that they are fitted on, each once, and no other."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from conformodal.geometry import Trajectory
 from conformodal.io import Recording
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.settings import MAPPING
 from conformodal.localizer.sources.landmarks import LandmarkSource
 from conformodal.localizer.sources.registry import SourceData, SourceState
 
@@ -33,7 +31,7 @@ def looked_at(world, monkeypatch):
         "conformodal.localizer.sources.registry.frame_features", lambda sequence, i: asked.append(i) or features[i]
     )
     # errors learnt from fewer frames: a third of the time
-    monkeypatch.setattr("conformodal.localizer.sources.landmarks.MAPPING", replace(MAPPING, left_out=15))
+    monkeypatch.setattr("conformodal.localizer.sources.landmarks._LEFT_OUT", 15)
     return asked
 
 
@@ -73,20 +71,3 @@ def test_a_stored_source_answers_the_same_to_the_last_bit(world, looked_at, stat
     for its, others in zip(here, there, strict=True):
         for one, other in zip(its, others, strict=True):
             np.testing.assert_equal(vars(one), vars(other))
-
-
-@pytest.mark.slow
-def test_folds_share_images_and_not_maps(world, looked_at, stated_camera, depth_m):
-    """An image of two folds is looked at once; what the first fold knows alone is not in the second's map."""
-    told = []
-    shared = data_of(world.poses_se3, stated_camera, depth_m, progress=lambda *now: told.append(now))
-    LandmarkSource.fit(shared, np.arange(0, 40))
-    second = LandmarkSource.fit(shared, np.arange(20, 60))
-    assert sorted(looked_at) == list(range(60))
-    assert {stage for stage, _, _ in told} == {"local features", "landmarks"}
-    assert told[-1][1] == told[-1][2]
-    alone = LandmarkSource.fit(data_of(world.poses_se3, stated_camera, depth_m), np.arange(20, 60))
-    one, other = second.state(), alone.state()
-    assert one.settings == other.settings
-    for name, array in one.arrays.items():
-        np.testing.assert_array_equal(array, other.arrays[name])

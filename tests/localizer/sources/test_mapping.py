@@ -1,17 +1,12 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.core import parallel
-from conformodal.geometry import Trajectory
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.geometry.map_poses import ROUNDS
-from conformodal.localizer.settings import MAPPING, PNP
 from conformodal.localizer.sources import mapping
-from conformodal.localizer.sources.landmarks import LandmarkSource
-from conformodal.localizer.sources.mapping import build_map
+from conformodal.localizer.sources.landmarks import MIN_INLIERS, LandmarkMap
 from tests.localizer.sources.conftest import CAMERA, DEPTH, make_world
 
 
@@ -21,7 +16,7 @@ def mapped():
     world = make_world()
     return (
         world,
-        build_map(world.local_features(), world.poses_se3, CAMERA, DEPTH),
+        LandmarkMap.build(world.local_features(), world.poses_se3, CAMERA, DEPTH),
         world.see(world.poses_se3[30], seed=3),
     )
 
@@ -35,7 +30,7 @@ def errors(estimate, pose):
 
 def test_an_image_between_the_keyframes_is_found(world_of, stated_camera, depth_m):
     world = world_of()
-    landmarks = build_map(world.local_features()[::2], world.poses_se3[::2], stated_camera, depth_m)
+    landmarks = LandmarkMap.build(world.local_features()[::2], world.poses_se3[::2], stated_camera, depth_m)
     off = []
     for i in range(1, len(world.poses_se3), 2):
         (estimate,) = landmarks.localize(world.see(world.poses_se3[i], seed=500 + i, wrong=0.3))
@@ -50,7 +45,7 @@ def test_an_image_between_the_keyframes_is_found(world_of, stated_camera, depth_
 )
 def test_the_camera_is_found_from_the_poses(world_of, stated_camera, depth_m, factor, turn, place):
     world = world_of(factor=factor, turn=turn, place=place)
-    landmarks = build_map(world.local_features(wrong=0.2), world.poses_se3, stated_camera, depth_m)
+    landmarks = LandmarkMap.build(world.local_features(wrong=0.2), world.poses_se3, stated_camera, depth_m)
     assert landmarks.camera.fx == pytest.approx(factor * stated_camera.fx, rel=0.01)
     assert Rotation.from_matrix(landmarks.T_pose_cam[:3, :3]).as_rotvec() == pytest.approx(turn, abs=0.003)
     assert landmarks.T_pose_cam[:3, 3] == pytest.approx(place, abs=0.02)
@@ -68,7 +63,9 @@ def test_a_rolling_shutter_is_found_and_compensated(world_of, stated_camera, dep
         still = image._replace(flow=flow)
         return still._replace(pixels=still.at_pose_time(-shutter, stated_camera).pixels)
 
-    landmarks = build_map([rolled(image) for image in world.local_features()], world.poses_se3, stated_camera, depth_m)
+    landmarks = LandmarkMap.build(
+        [rolled(image) for image in world.local_features()], world.poses_se3, stated_camera, depth_m
+    )
     assert landmarks.shutter == pytest.approx(shutter, abs=0.001)
     off = {True: [], False: []}
     for i in range(2, 58, 5):
@@ -88,7 +85,7 @@ def test_a_map_is_adjusted_where_the_given_poses_have_errors_of_their_own(
     images, off = world.local_features(), {}
     for rounds in (0, ROUNDS):
         monkeypatch.setattr(mapping, "ROUNDS", rounds)
-        landmarks = build_map(images, given, stated_camera, depth_m)
+        landmarks = LandmarkMap.build(images, given, stated_camera, depth_m)
         found = [landmarks.localize(world.see(world.poses_se3[i], seed=700 + i))[0] for i in range(2, 58, 5)]
         off[rounds] = [errors(one, world.poses_se3[i]) for one, i in zip(found, range(2, 58, 5), strict=True)]
     assert (np.median(off[ROUNDS], axis=0) < (0.8, 0.95) * np.median(off[0], axis=0)).all()
@@ -112,7 +109,7 @@ def test_two_places_that_look_alike_give_two_estimates(world_of, stated_camera, 
     far = world.poses_se3.copy()
     far[:, :3, 3] += shift
     images = world.local_features()
-    landmarks = build_map([*images, *images], np.concatenate((world.poses_se3, far)), stated_camera, depth_m)
+    landmarks = LandmarkMap.build([*images, *images], np.concatenate((world.poses_se3, far)), stated_camera, depth_m)
     estimates = landmarks.localize(world.see(world.poses_se3[11], seed=77))
     assert len(estimates) == 2
     near = sorted(estimate.position_xyz[0] for estimate in estimates)
@@ -122,42 +119,18 @@ def test_two_places_that_look_alike_give_two_estimates(world_of, stated_camera, 
 def test_an_image_of_something_else_gives_no_estimate(mapped):
     other = make_world(seed=9)
     estimates = mapped[1].localize(other.see(other.poses_se3[3]))
-    assert all(estimate.n_inliers < 2 * PNP.min_inliers for estimate in estimates)
-
-
-@pytest.mark.slow
-def test_estimates_are_sure_where_the_place_is_known_and_another_place_has_none(
-    world_of, stated_camera, depth_m, monkeypatch
-):
-    monkeypatch.setattr(
-        "conformodal.localizer.sources.landmarks.MAPPING", replace(MAPPING, left_out=40)
-    )  # of 80: half the time
-    world = world_of(n=80)
-    times = np.arange(80) / 10
-    quats = Rotation.from_matrix(world.poses_se3[:, :3, :3]).as_quat(scalar_first=True)
-    truth = Trajectory(times, world.poses_se3[:, :3, 3], quats)
-    groups = [np.arange(80), np.arange(80) // 4]
-    frames = np.arange(100, 180)
-    source = LandmarkSource.of(world.local_features(wrong=0.3), truth, groups, stated_camera, depth_m, frames)
-    np.testing.assert_array_equal(source.frames, frames)
-    shown = [
-        one for i in range(5, 75, 7) for one in source.localize(world.see(world.poses_se3[i], seed=900 + i, wrong=0.3))
-    ]
-    assert len(shown) == 10
-    assert min(one.inlier_probability for one in shown) > 0.5
-    other = world_of(n=80, seed=9)  # a place that is not in the map
-    assert [one for i in range(5, 75, 7) for one in source.localize(other.see(other.poses_se3[i], seed=900 + i))] == []
+    assert all(estimate.n_inliers < 2 * MIN_INLIERS for estimate in estimates)
 
 
 def test_a_camera_far_from_the_given_one_is_not_believed(world_of, stated_camera, depth_m):
     world = world_of(factor=2.2)
-    assert build_map(world.local_features(), world.poses_se3, stated_camera, depth_m).camera == stated_camera
+    assert LandmarkMap.build(world.local_features(), world.poses_se3, stated_camera, depth_m).camera == stated_camera
 
 
 def test_a_map_does_not_depend_on_the_number_of_threads(monkeypatch, world_of, stated_camera, depth_m):
     world, maps = world_of(n=20), []
     for n in (1, 3):
         monkeypatch.setattr(parallel, "_limit", n)
-        maps.append(build_map(world.local_features(wrong=0.2), world.poses_se3, stated_camera, depth_m))
+        maps.append(LandmarkMap.build(world.local_features(wrong=0.2), world.poses_se3, stated_camera, depth_m))
     for name in ("points_xyz", "descriptors", "starts", "T_pose_cam"):
         np.testing.assert_array_equal(getattr(maps[0], name), getattr(maps[1], name))

@@ -1,29 +1,273 @@
-"""The pose source by PnP on landmarks, and the error model that it learns."""
+"""The pose source by landmarks: retrieval by global descriptors, PnP on matched local features, learnt errors."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
+import numpy.typing as npt
+import poselib
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
-from conformodal.core.arrays import IntArray, evenly_spread
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array, evenly_spread
 from conformodal.core.parallel import in_threads
 from conformodal.core.progress import Progress, stage_of
 from conformodal.features.backbone import at_unit_length
-from conformodal.features.local import LocalFeatures, Matcher
-from conformodal.geometry import PinholeCamera, Trajectory, angle_between_quats
-from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.measurement import ErrorModel, HeldOutErrors, PoseMeasurement, fit_error_model
-from conformodal.localizer.settings import ERROR_MODEL, MAPPING, PNP
+from conformodal.features.local import LocalFeatures, Matcher, match
+from conformodal.geometry import PinholeCamera, Trajectory, angle_between_quats, cross_matrices, rigid_motions
+from conformodal.geometry.adjustment import MEDIAN_OF_NORM2
+from conformodal.localizer.evidence import (
+    LEAST_ESTIMATES,
+    ErrorModel,
+    FrameEvidence,
+    HeldOutErrors,
+    PoseMeasurement,
+    fit_error_model,
+)
 
-from .keyframes import LandmarkMap
-from .mapping import build_map, view_overlap
+from .mapping import triangulate_frames, view_overlap
 from .registry import SourceAnswer, SourceData, SourceState, register_source
 
 _MAPPED = ("T_pose_cam", "shutter", "poses_se3", "global_descriptors", "starts", "points_xyz")
 _ARRAYS = (*_MAPPED, "descriptors", "corrections")
+_MAX_KEYFRAMES = 1000
+_LEFT_OUT = 100  # keyframes that the error model is learnt from
+# Keyframes whose view overlaps by more than this are hidden from a left-out one, so that hardly anything it sees is
+# mapped; and the weight of such a case.
+_HIDDEN_OVERLAPS, _HIDDEN_WEIGHT = (0.0, 0.3), 0.05
+# Retrieval: keyframes matched in the most similar cluster and in each of the others, clusters at most, and keyframes
+# that are clustered
+_FIRST, _OTHERS, _CLUSTERS, _RETRIEVED = 6, 3, 8, 200
+_SPREAD = 0.05  # scene depths plus radians by which keyframes of a cluster differ; 0.1 makes poses worse on fr1
+_RADIUS = 0.5  # of a cluster, as a share of the scene's depth
+_MAX_DISTANCE_RATIO = 5.0  # descriptor distance of a cluster over that of the first
+MIN_INLIERS = 12  # of a pose
+_MAX_REPROJECTION_PX = 6.0
+_RANSAC = {"max_reproj_error": _MAX_REPROJECTION_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
+_REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 1.0, "max_iterations": 10}  # more take long and hardly move a pose
+_LEAST_RESIDUAL_PX = 0.5  # no corner is located more precisely
+# Keyframes whose deviations correct an estimate, weighted by one over their distance, to which this is added (scene
+# depths plus radians)
+_CORRECTED_BY, _LEAST_DISTANCE = 6, 0.01
+_SAME_PLACE = 0.5  # share of the scene's depth within which an estimate is of the same place
+# Guided matching looks for landmarks of keyframes near a pose where the pose says that they are: inliers of a pose that
+# guides (wrong ones have fewer), keyframes, and the number nearest to the pose that these are chosen from
+_GUIDING_INLIERS, _GUIDING_KEYFRAMES, _CONSIDERED = 30, 6, 100
+_RADIUS_PX, _CORNERS = 8.0, 4  # corners nearest to a landmark that are compared with it
+_MOST_BITS = 64  # in which descriptors differ
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkMap:
+    """Keyframes, which are frames with known poses, and landmarks, which are their triangulated corners.
+
+    Landmarks belong to adjusted poses of the keyframes. Rolling shutters, clocks and reference poses make neighbours
+    deviate alike from the given ones. The weighted mean of the neighbours' `corrections` is therefore subtracted from
+    an estimate, which brings it to the given frame; their scatter is part of its standard deviation.
+    """
+
+    camera: PinholeCamera  # without distortion
+    T_pose_cam: FloatArray  # (4, 4) from the camera's frame to the one whose poses are given
+    shutter: FloatArray  # (2,), see PinholeCamera.at_pose_time
+    poses_se3: FloatArray  # (n, 4, 4) of the keyframes, as given
+    global_descriptors: npt.NDArray[np.float16]  # (n, G)
+    starts: IntArray  # (n + 1,) landmarks of keyframe i are starts[i] to starts[i + 1]
+    points_xyz: Float32Array  # (N, 3) metres, world
+    descriptors: UInt8Array  # (N, 32)
+    corrections: FloatArray  # (n, 6) adjusted minus given pose of each keyframe: metres and a rotation vector, world
+    depth_m: float  # median depth of the scene
+
+    @classmethod
+    def build(
+        cls,
+        features: Sequence[LocalFeatures],
+        poses_se3: FloatArray,
+        camera: PinholeCamera,
+        depth_m: float,
+        progress: Progress | None = None,
+        matcher: Matcher | None = None,
+    ) -> Self:
+        """Map n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps."""
+        mapped = triangulate_frames(features, poses_se3, camera, depth_m, progress, matcher or Matcher())
+        global_descriptors = np.array([one.global_descriptor for one in features], dtype=np.float16)
+        return cls(
+            *mapped.mounted,
+            poses_se3,
+            global_descriptors,
+            mapped.starts,
+            mapped.points_xyz,
+            mapped.descriptors,
+            mapped.corrections,
+            depth_m,
+        )
+
+    @cached_property
+    def _descriptors(self) -> Float32Array:
+        return self.global_descriptors.astype(np.float32)  # products of halves are slow
+
+    def localize(
+        self, image: LocalFeatures, hidden: BoolArray | None = None, matches: dict[int, IntArray] | None = None
+    ) -> list[PoseMeasurement]:
+        """Absolute pose estimates of an image: one PnP hypothesis for each of the similar retrieval clusters.
+
+        Standard deviations come from the reprojection residuals and the scatter of the corrections, up to a factor that
+        :class:`~conformodal.localizer.evidence.ErrorModel` learns. Keyframes in `hidden` (n,) are left out.
+        `matches` caches those of the image by keyframe.
+        """
+        shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
+        matches, image = {} if matches is None else matches, image.at_pose_time(self.shutter, self.camera)
+        places = self._retrieve(image.global_descriptor, shown)
+        estimates = (self._solve(image, near, shown, matches) for near in places)
+        return [estimate for estimate in estimates if estimate is not None]
+
+    def _retrieve(self, descriptor: Float32Array, shown: BoolArray) -> list[IntArray]:
+        """Keyframes similar to an image, clustered by position, in order of similarity."""
+        alike = (self._descriptors @ descriptor).astype(np.float64)
+        alike[~shown | (np.diff(self.starts) < MIN_INLIERS)] = -np.inf
+        order = np.argsort(-alike, kind="stable")[:_RETRIEVED]
+        order = order[np.isfinite(alike[order])]
+        clusters: list[IntArray] = []
+        while order.size and len(clusters) < _CLUSTERS:
+            if clusters and 1 - alike[order[0]] > _MAX_DISTANCE_RATIO * (1 - alike[clusters[0][0]]):
+                break
+            apart = np.linalg.norm(self.poses_se3[order, :3, 3] - self.poses_se3[order[0], :3, 3], axis=1)
+            here = apart < _RADIUS * self.depth_m
+            clusters.append(self._spread(order[here], _OTHERS if clusters else _FIRST))
+            order = order[~here]
+        return clusters
+
+    def _spread(self, order: IntArray, most: int) -> IntArray:
+        """The first keyframes in an order that differ from each other: nearly the same view says the same again."""
+        chosen: list[int] = []
+        for i in order.tolist():
+            if len(chosen) < most and (not chosen or self._apart(self.poses_se3[i], chosen).min() > _SPREAD):
+                chosen.append(i)
+        return np.array(chosen)
+
+    def _apart(self, T_world_pose: FloatArray, frames: list[int] | slice = slice(None)) -> FloatArray:
+        """Distances of keyframes from a pose, in scene depths plus radians."""
+        poses = self.poses_se3[frames]
+        apart = np.linalg.norm(poses[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
+        return np.asarray(apart + np.arccos(np.clip(poses[:, :3, 2] @ T_world_pose[:3, 2], -1, 1)))
+
+    def _solve(
+        self, image: LocalFeatures, near: IntArray, shown: BoolArray, matches: dict[int, IntArray]
+    ) -> PoseMeasurement | None:
+        for frame in near.tolist():
+            if frame not in matches:
+                pairs = match(image.descriptors, self.descriptors[self.starts[frame] : self.starts[frame + 1]])
+                matches[frame] = np.add(pairs, (0, self.starts[frame]))
+        corners, landmarks = np.concatenate([matches[frame] for frame in near.tolist()]).T
+        points = self.points_xyz[landmarks].astype(np.float64)
+        pixels = image.pixels[corners]
+        if len(pixels) < MIN_INLIERS:
+            return None
+        pose, info = poselib.estimate_absolute_pose(pixels, points, self.camera.poselib(), _RANSAC, _REFINEMENT)
+        inliers = np.asarray(info["inliers"], dtype=np.bool_)
+        if inliers.sum() < MIN_INLIERS:
+            return None
+        # a corner matched with several keyframes is one observation, so it counts once
+        share = len(np.unique(corners[inliers])) / len(np.unique(corners))
+        T_world_cam = _camera_to_world(pose)
+        if inliers.sum() >= _GUIDING_INLIERS:
+            corners, landmarks = self._guided(image, T_world_cam, shown)
+            points, pixels = self.points_xyz[landmarks].astype(np.float64), image.pixels[corners]
+            if len(pixels) < MIN_INLIERS:
+                return None
+            pose, _ = poselib.refine_absolute_pose(pixels, points, pose, self.camera.poselib(), _REFINEMENT)
+            T_world_cam = _camera_to_world(pose)
+            pixels_seen, ahead = self._projected(points, T_world_cam)
+            inliers = ahead & (np.linalg.norm(pixels_seen - pixels, axis=1) < _MAX_REPROJECTION_PX)
+            if inliers.sum() < MIN_INLIERS:
+                return None
+        sigmas = self._spreads(pixels[inliers], points[inliers], T_world_cam[:3, :3], T_world_cam[:3, 3])
+        if sigmas is None:
+            return None
+        T_world_pose = T_world_cam @ np.linalg.inv(self.T_pose_cam)
+        off, scatter, apart = self._correction(T_world_pose, shown)
+        sigma_m, sigma_rad = np.hypot(sigmas, scatter).tolist()
+        turn = Rotation.from_rotvec(-off[3:]) * Rotation.from_matrix(T_world_pose[:3, :3])
+        position, quat = T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True)
+        agreeing = np.unique(corners[inliers])
+        image_share = self._share_of_image(image.pixels[agreeing])
+        return PoseMeasurement(position, quat, sigma_m, sigma_rad, len(agreeing), 1.0, share, image_share, apart)
+
+    def _guided(self, image: LocalFeatures, T_world_cam: FloatArray, shown: BoolArray) -> tuple[IntArray, IntArray]:
+        """Corners and landmarks (m,) that match where the keyframes nearest to a pose say that they are."""
+        order = np.argsort(np.where(shown, self._apart(T_world_cam @ np.linalg.inv(self.T_pose_cam)), np.inf))
+        near = self._spread(order[: min(_CONSIDERED, int(shown.sum()))], _GUIDING_KEYFRAMES)
+        landmarks = np.concatenate([np.arange(self.starts[i], self.starts[i + 1]) for i in near.tolist()])
+        pixels_seen, ahead = self._projected(self.points_xyz[landmarks].astype(np.float64), T_world_cam)
+        landmarks, pixels_seen = landmarks[ahead], pixels_seen[ahead]
+        count = min(_CORNERS, len(image.pixels))
+        nearest = np.arange(1, count + 1)
+        away, corners = KDTree(image.pixels).query(pixels_seen, nearest, distance_upper_bound=_RADIUS_PX)
+        rows, columns = np.nonzero(np.isfinite(away))
+        corners = np.asarray(corners)[rows, columns]
+        differ = np.unpackbits(image.descriptors[corners] ^ self.descriptors[landmarks[rows]], axis=1).sum(axis=1)
+        best = np.lexsort((differ, rows))
+        best = best[np.unique(rows[best], return_index=True)[1]]
+        best = best[differ[best] < _MOST_BITS]
+        return corners[best], landmarks[rows[best]]
+
+    def _projected(self, points: FloatArray, T_world_cam: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Pixels (n, 2) of points, and whether these lie ahead of the camera."""
+        local = (points - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
+        ahead = local[:, 2] > 1e-3
+        plane = local[:, :2] / np.where(ahead, local[:, 2], 1.0)[:, None]
+        camera = self.camera
+        return plane * (camera.fx, camera.fy) + (camera.cx, camera.cy), ahead
+
+    def _share_of_image(self, pixels: FloatArray) -> float:
+        """Share of the image over which pixels (m, 2) are spread: 1 if evenly over all of it."""
+        if len(pixels) < 3:
+            return 0.0
+        area = 12 * np.sqrt(max(float(np.linalg.det(np.cov(pixels.T))), 0.0))
+        return float(area / (self.camera.width * self.camera.height))
+
+    def _correction(self, T_world_pose: FloatArray, shown: BoolArray) -> tuple[FloatArray, FloatArray, float]:
+        """Deviations of nearby keyframes: mean (6,), scatter per axis (2,) in m and rad, and the least distance."""
+        apart = self._apart(T_world_pose)
+        away = float(apart[shown].min())
+        corrected = np.flatnonzero(shown & np.isfinite(self.corrections).all(axis=1))
+        if corrected.size == 0:
+            return np.zeros(6), np.zeros(2), away
+        nearest = corrected[np.argsort(apart[corrected], kind="stable")[:_CORRECTED_BY]]
+        corrections, weights = self.corrections[nearest], 1 / (apart[nearest] + _LEAST_DISTANCE)
+        mean = np.average(corrections, axis=0, weights=weights)
+        variance = np.average((corrections - mean) ** 2, axis=0, weights=weights)
+        return mean, np.sqrt([variance[:3].mean(), variance[3:].mean()]), away
+
+    def _spreads(
+        self, pixels: FloatArray, points: FloatArray, R_world_cam: FloatArray, centre: FloatArray
+    ) -> tuple[float, float] | None:
+        """Standard deviations per axis of position (metres) and rotation (radians), propagated from the residuals."""
+        local = (points - centre) @ R_world_cam
+        depth = local[:, 2]
+        if not (depth > 1e-6).all():
+            return None
+        plane = local[:, :2] / depth[:, None]
+        off = np.linalg.norm(plane - self.camera.on_plane(pixels), axis=1)
+        least = 2 * _LEAST_RESIDUAL_PX / (self.camera.fx + self.camera.fy)
+        residual = max(float(np.median(off)) / MEDIAN_OF_NORM2, least)
+        by_point = np.zeros((len(points), 2, 3))
+        by_point[:, 0, 0] = by_point[:, 1, 1] = 1 / depth
+        by_point[:, :, 2] = -plane / depth[:, None]
+        slopes = np.concatenate((-by_point, by_point @ cross_matrices(local)), axis=2).reshape(-1, 6)
+        information = slopes.T @ slopes / residual**2
+        if np.linalg.cond(information) > 1e12:
+            return None
+        variance = np.diag(np.linalg.inv(information))
+        return float(np.sqrt(variance[:3].mean())), float(np.sqrt(variance[3:].mean()))
+
+
+def _camera_to_world(pose: poselib.CameraPose) -> FloatArray:
+    R_world_cam = np.asarray(pose.R).T
+    return rigid_motions(R_world_cam, -R_world_cam @ np.asarray(pose.t))
 
 
 @register_source
@@ -51,48 +295,21 @@ class LandmarkSource:
     @classmethod
     def fit(cls, data: SourceData, frames: IntArray) -> Self | None:
         """Map the frames; None where the scene's depth is not known, or too few frames can be localised."""
-        if not np.isfinite(data.depth_m) or len(frames) < ERROR_MODEL.least_estimates:
+        if not np.isfinite(data.depth_m) or len(frames) < LEAST_ESTIMATES:
             return None
         pieces = data.stretches if len(np.unique(data.pieces[frames])) < 2 else data.pieces
-        chosen = frames[evenly_spread(len(frames), MAPPING.max_keyframes)]
-        source = cls.of(
-            data.local_features(chosen),
-            data.sequence.require_truth()[chosen],
-            (pieces[chosen], data.stretches[chosen]),
-            data.sequence.camera,
-            data.depth_m,
-            frames,
-            stage_of(data.progress, "landmarks"),
-            data.matcher,
-        )
-        return None if source is None else replace(source, grid=data.grid)
-
-    @classmethod
-    def of(
-        cls,
-        features: Sequence[LocalFeatures],
-        truth: Trajectory,
-        groups: Sequence[IntArray],
-        camera: PinholeCamera,
-        depth_m: float,
-        frames: IntArray,
-        progress: Progress | None = None,
-        matcher: Matcher | None = None,
-    ) -> Self | None:
-        """Map n images with known poses, and learn the error model by hiding images from the map.
-
-        Each of `groups` labels the images (n,): those with the label of a left-out image are hidden with it.
-        """
-        n = len(features)
-        left_out = evenly_spread(n, MAPPING.left_out)
-        total = n + len(left_out)
+        chosen = frames[evenly_spread(len(frames), _MAX_KEYFRAMES)]
+        features, truth = data.local_features(chosen), data.sequence.require_truth()[chosen]
+        left_out, report = evenly_spread(len(chosen), _LEFT_OUT), stage_of(data.progress, "landmarks")
 
         def done(before: int) -> Progress | None:
-            return None if progress is None else lambda count, _: progress(before + count, total)
+            return None if report is None else lambda n, _: report(before + n, len(chosen) + len(left_out))
 
-        landmarks = build_map(features, truth.poses_se3, camera, depth_m, done(0), matcher)
-        errors = _fit_errors(landmarks, features, truth, groups, left_out, done(n))
-        return None if errors is None else cls(landmarks, frames, errors)
+        camera, depth_m = data.sequence.camera, data.depth_m
+        landmarks = LandmarkMap.build(features, truth.poses_se3, camera, depth_m, done(0), data.matcher)
+        groups = pieces[chosen], data.stretches[chosen]
+        errors = _fit_errors(landmarks, features, truth, groups, left_out, done(len(chosen)))
+        return None if errors is None else cls(landmarks, frames, errors, data.grid)
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """One estimate per retrieval cluster; none for images without local features."""
@@ -107,14 +324,13 @@ class LandmarkSource:
     def localize(self, image: LocalFeatures) -> list[PoseMeasurement]:
         """Estimates of one image whose standard deviation is below half the scene's depth."""
         estimates = (self.errors.apply(one, *_support(one)) for one in self.map.localize(image))
-        return [one for one in estimates if one.sigma_m < PNP.same_place * self.map.depth_m]
+        return [one for one in estimates if one.sigma_m < _SAME_PLACE * self.map.depth_m]
 
     def state(self) -> SourceState:
         """The map's arrays and camera, and the errors."""
         arrays = {"frames": self.frames, **{k: getattr(self.map, k) for k in _ARRAYS}}
         settings = {"camera": asdict(self.map.camera), "depth_m": self.map.depth_m, "errors": asdict(self.errors)}
-        settings["grid"] = self.grid
-        return SourceState(arrays, settings)
+        return SourceState(arrays, {**settings, "grid": self.grid})
 
     @classmethod
     def from_state(cls, state: SourceState) -> Self:
@@ -134,14 +350,17 @@ def _fit_errors(
     left_out: IntArray,
     progress: Progress | None,
 ) -> ErrorModel | None:
-    """Fit the error model to frames localised with their piece, stretch or surroundings hidden from the map."""
+    """Fit the error model to frames localised with their piece, stretch or surroundings hidden from the map.
+
+    Each of `groups` labels the images (n,): those with the label of a left-out image are hidden with it.
+    """
 
     def estimated(i: int) -> list[tuple[float, ...]]:
         rows: list[tuple[float, ...]] = []
         matches: dict[int, IntArray] = {}
         overlap = view_overlap(landmarks.poses_se3, i, landmarks.camera, landmarks.depth_m)
         hidings = [(group == group[i], 1.0) for group in groups]
-        hidings += [(overlap > share, MAPPING.hidden_weight) for share in MAPPING.hidden_overlaps]
+        hidings += [(overlap > share, _HIDDEN_WEIGHT) for share in _HIDDEN_OVERLAPS]
         for hidden, weight in hidings:
             for one in landmarks.localize(features[i], hidden, matches=matches):
                 off = float(np.linalg.norm(one.position_xyz - truth.positions_xyz[i]))
@@ -151,12 +370,12 @@ def _fit_errors(
         return rows
 
     rows = [row for part in in_threads(estimated, left_out.tolist(), progress) for row in part]
-    if len(rows) < ERROR_MODEL.least_estimates:
+    if len(rows) < LEAST_ESTIMATES:
         return None
     table = np.array(rows)
     off, sigma_m, angle, sigma_rad, distance, weights = table[:, :6].T
     errors = HeldOutErrors(off, sigma_m, angle, sigma_rad, distance, table[:, 6:], weights)
-    return fit_error_model(errors, PNP.same_place * landmarks.depth_m)
+    return fit_error_model(errors, _SAME_PLACE * landmarks.depth_m)
 
 
 def _support(one: PoseMeasurement) -> tuple[float, float, float]:

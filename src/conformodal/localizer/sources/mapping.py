@@ -1,13 +1,14 @@
-"""A map of landmarks from frames with known poses."""
+"""Landmarks from frames with known poses: matching, the camera, triangulation and adjustment."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array
 from conformodal.core.parallel import in_threads
 from conformodal.core.progress import Progress
 from conformodal.features.local import LocalFeatures, Matcher
@@ -19,28 +20,42 @@ from conformodal.geometry.map_poses import (
     SIGMA_RAD,
     MapPoses,
     Matches,
+    Mounted,
     TriangulatedRays,
     choose_tracks,
     fit_camera,
 )
 from conformodal.geometry.triangulation import Rays, triangulate
-from conformodal.localizer.settings import MAPPING
-
-from .keyframes import LandmarkMap
 
 _FRAMES_AT_A_TIME = 32  # that are triangulated
+_PARTNERS = 10  # frames in which a frame's corners are sought; pairs serve both
+_MOST_TURNED_RAD, _USUAL_TURN_RAD = float(np.radians(35.0)), float(np.radians(15.0))  # of partners
+# Distances of partners, in scene depths: too near gives no parallax, too far sees other things.
+_NEAREST, _BEST, _FARTHEST = 0.02, 0.15, 0.8
+_TOLERANCE_PX = 4.0  # of a ray
+_MATCHES_PER_PAIR = 40  # that the camera is fitted with
 
 
-def build_map(
+class TriangulatedFrames(NamedTuple):
+    """The camera of n frames and their landmarks, as :class:`.landmarks.LandmarkMap` keeps them."""
+
+    mounted: Mounted
+    starts: IntArray
+    points_xyz: Float32Array
+    descriptors: UInt8Array
+    corrections: FloatArray
+
+
+def triangulate_frames(
     features: Sequence[LocalFeatures],
     poses_se3: FloatArray,
     camera: PinholeCamera,
     depth_m: float,
-    progress: Progress | None = None,
-    matcher: Matcher | None = None,
-) -> LandmarkMap:
-    """Triangulate corners of n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps."""
-    pairs = _matched(features, _partners(poses_se3, depth_m), matcher or Matcher(), progress)
+    progress: Progress | None,
+    matcher: Matcher,
+) -> TriangulatedFrames:
+    """Triangulate corners of n frames with known poses (n, 4, 4), which are adjusted with them."""
+    pairs = _matched(features, _partners(poses_se3, depth_m), matcher, progress)
     mounted = fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
     features = [one.at_pose_time(mounted.shutter, camera) for one in features]
     before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
@@ -49,7 +64,7 @@ def build_map(
     def triangulated(few: range, current: MapPoses) -> TriangulatedRays:
         camera = current.mounted.camera
         rays = _rays(few, pairs, features, current.poses_cam, camera, before)
-        points = triangulate(rays, 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
+        points = triangulate(rays, 2 * _TOLERANCE_PX / (camera.fx + camera.fy))
         return TriangulatedRays(rays, points)
 
     sigmas = np.repeat([SIGMA_RAD, SIGMA_DEPTHS * depth_m], 3)
@@ -57,23 +72,18 @@ def build_map(
     for _ in range(ROUNDS):
         camera = current.mounted.camera
         parts = in_threads(partial(triangulated, current=current), chunks)
-        tracks = choose_tracks(parts, len(features), 2 * MAPPING.tolerance_px / (camera.fx + camera.fy))
+        tracks = choose_tracks(parts, len(features), 2 * _TOLERANCE_PX / (camera.fx + camera.fy))
         if len(tracks.frame) < LEAST_PER_FRAME * len(features):
             break
         current = current.adjusted(poses_se3, tracks)
     parts = in_threads(partial(triangulated, current=current), chunks)
     points = np.concatenate([part.points.xyz for part in parts])
     reliable = np.concatenate([part.points.reliable for part in parts])
-    return LandmarkMap(
-        camera=current.mounted.camera,
-        T_pose_cam=current.mounted.T_pose_cam,
-        shutter=mounted.shutter,
-        poses_se3=poses_se3,
-        global_descriptors=np.array([d.global_descriptor for d in features], dtype=np.float16),
+    return TriangulatedFrames(
+        mounted=current.mounted,
         starts=np.concatenate(([0], np.cumsum(reliable)))[before],
         points_xyz=points[reliable].astype(np.float32),
-        descriptors=np.concatenate([d.descriptors for d in features])[reliable],
-        depth_m=depth_m,
+        descriptors=np.concatenate([one.descriptors for one in features])[reliable],
         corrections=current.corrections(poses_se3),
     )
 
@@ -104,13 +114,11 @@ def _partners(poses_se3: FloatArray, depth_m: float) -> list[IntArray]:
     for centre, ahead in zip(centres, forward, strict=True):
         turned = np.arccos(np.clip(forward @ ahead, -1, 1))
         apart = np.linalg.norm(centres - centre, axis=1) / depth_m
-        others = np.flatnonzero(
-            (turned < MAPPING.most_turned_rad) & (apart > MAPPING.nearest) & (apart < MAPPING.farthest)
-        )
-        cost = np.abs(np.log(apart[others] / MAPPING.best)) + turned[others] / MAPPING.usual_turn_rad
-        others = others[np.argsort(cost, kind="stable")[: 5 * MAPPING.partners]]
+        others = np.flatnonzero((turned < _MOST_TURNED_RAD) & (apart > _NEAREST) & (apart < _FARTHEST))
+        cost = np.abs(np.log(apart[others] / _BEST)) + turned[others] / _USUAL_TURN_RAD
+        others = others[np.argsort(cost, kind="stable")[: 5 * _PARTNERS]]
         # neighbours in time say the same: take one of every few
-        partners.append(others[:: max(1, len(others) // MAPPING.partners)][: MAPPING.partners])
+        partners.append(others[:: max(1, len(others) // _PARTNERS)][:_PARTNERS])
     return partners
 
 
@@ -139,7 +147,7 @@ def _some_matches(features: Sequence[LocalFeatures], pairs: Sequence[Sequence[tu
     for i, others in enumerate(pairs):
         for j, matches in others:
             if i < j:
-                some = matches[rng.permutation(len(matches))[: MAPPING.matches_per_pair]]
+                some = matches[rng.permutation(len(matches))[:_MATCHES_PER_PAIR]]
                 frames.append(np.tile([i, j], (len(some), 1)))
                 pixels.append(np.stack((features[i].pixels[some[:, 0]], features[j].pixels[some[:, 1]]), axis=1))
                 flows.append(np.stack((moving[i][some[:, 0]], moving[j][some[:, 1]]), axis=1))

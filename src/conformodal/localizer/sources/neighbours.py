@@ -10,26 +10,31 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from conformodal.core.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray, Rows, evenly_spread
-from conformodal.core.progress import Progress, stage_of
+from conformodal.core.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray, evenly_spread
 from conformodal.features.backbone import feature_views
 from conformodal.features.head import Projection, fit_projection
 from conformodal.geometry import angle_between_quats, normalise_quat
-from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.measurement import ErrorModel, HeldOutErrors, PoseMeasurement, fit_error_model
-from conformodal.localizer.settings import NEIGHBOURS
+from conformodal.localizer.evidence import ErrorModel, FrameEvidence, HeldOutErrors, PoseMeasurement, fit_error_model
 
 from .registry import SourceAnswer, SourceData, SourceState, register_source
 
 _CHUNK = 256  # queries at once: their neighbours' features are copied
+_PLACES = 4  # answers at most, one per place
+_CROWD = 4  # frames that are clustered by place, in units of the frames of one regression
+_DECAY = 2.0  # the weight of the farthest frame is exp(-decay) (Cleveland 1979)
+_LEAST_WEIGHT = 0.02  # of an answer
+_SAME_PLACE = 0.5  # standard deviations of the targets within which answers are of the same place
+_USUAL = 0.9  # quantile of the novelty of left-out frames above which standard deviations grow with novelty
+_DISTRUST = 4.0  # exponent with which the odds of an inlier fall above that
+_LEFT_OUT = 800  # frames that settings are chosen on, at most
+_SCREENED, _FINALISTS = 200, 8  # of these, that all settings are tried on; settings that are tried on all of them
 
 
-@dataclass(frozen=True)
-class LocalSettings:
+class LocalSettings(NamedTuple):
     """Settings of the regression."""
 
     components: int  # leading principal components of the features
@@ -39,11 +44,10 @@ class LocalSettings:
 
 
 # Few components far from the references, many close to them.
-CHOICES = tuple(LocalSettings(*c) for c in product((16, 64, 256), (10, 20), (0.003, 0.03), (None, 0.5)))
+_CHOICES = tuple(LocalSettings(*c) for c in product((16, 64, 256), (10, 20), (0.003, 0.03), (None, 0.5)))
 
 
-@dataclass(frozen=True, eq=False)
-class LocalAnswers(Rows):
+class LocalAnswers(NamedTuple):
     """Estimates for m queries, one for each of up to P places."""
 
     values: FloatArray  # (m, P, d) targets
@@ -63,13 +67,9 @@ class LocalRegression:
 
     def predict(self, queries: Float32Array, hidden: BoolArray | None = None) -> LocalAnswers:
         """Estimates for projected features (m, k), m > 0; `hidden` (m, n) are references that a query must not see."""
-        chunks = [slice(a, a + _CHUNK) for a in range(0, len(queries), _CHUNK)]
-        return LocalAnswers.concatenate(
-            [
-                self._answer(queries[rows].astype(np.float64), None if hidden is None else hidden[rows])
-                for rows in chunks
-            ]
-        )
+        chunks = [slice(start, start + _CHUNK) for start in range(0, len(queries), _CHUNK)]
+        answers = [self._answer(queries[rows], None if hidden is None else hidden[rows]) for rows in chunks]
+        return LocalAnswers(*map(np.concatenate, zip(*answers, strict=True)))
 
     def slim(self) -> LocalRegression:
         """The same regression without the components that its settings do not use."""
@@ -77,50 +77,46 @@ class LocalRegression:
         projection = replace(self.projection, components=np.ascontiguousarray(self.projection.components[:, :k]))
         return replace(self, projection=projection, references=np.ascontiguousarray(self.references[:, :k]))
 
-    def _answer(self, queries: FloatArray, hidden: BoolArray | None) -> LocalAnswers:
+    def _answer(self, queries: Float32Array, hidden: BoolArray | None) -> LocalAnswers:
         how = self.settings
-        one_place = how.radius is None
-        queries, references = queries[:, : how.components], self.references[:, : how.components].astype(np.float64)
-        square = (references**2).sum(axis=1) - 2 * queries @ references.T + (queries**2).sum(axis=1)[:, None]
+        x, references = (part[:, : how.components].astype(np.float64) for part in (queries, self.references))
+        square = (references**2).sum(axis=1) - 2 * x @ references.T + (x**2).sum(axis=1)[:, None]
         square = np.maximum(square, 0)
         if hidden is not None:
             square[hidden] = np.inf
-        crowd = min(how.neighbours * (1 if one_place else NEIGHBOURS.retrieved), len(references))
+        n_places = 1 if how.radius is None else _PLACES
+        crowd = min(how.neighbours * (1 if how.radius is None else _CROWD), len(references))
         near = np.argpartition(square, crowd - 1, axis=1)[:, :crowd]
         near = np.take_along_axis(near, np.argsort(np.take_along_axis(square, near, axis=1), axis=1), axis=1)
         square = np.take_along_axis(square, near, axis=1)
         visible = np.isfinite(square)
         square = np.where(visible, square, 0)
         reach = square[:, : how.neighbours].max(axis=1, keepdims=True)
-        kernel = np.where(visible, np.exp(-NEIGHBOURS.decay * square / np.maximum(reach, 1e-12)), 0)
-        place = np.zeros_like(near) if one_place else self._places(near, visible)
-        n_places = 1 if one_place else NEIGHBOURS.places
-        values = np.zeros((len(queries), n_places, self.targets.shape[1]))
-        weights, novelty = np.zeros((len(queries), n_places)), np.zeros(len(queries))
+        kernel = np.where(visible, np.exp(-_DECAY * square / np.maximum(reach, 1e-12)), 0)
+        place = np.zeros_like(near) if how.radius is None else self._places(near, visible, how.radius)
+        values = np.zeros((len(x), n_places, self.targets.shape[1]))
+        weights, novelty = np.zeros((len(x), n_places)), np.zeros(len(x))
         for p in range(n_places):
             share = np.where(place == p, kernel, 0)
             share[np.cumsum(share > 0, axis=1) > how.neighbours] = 0
             weights[:, p] = share.sum(axis=1)
-            rows = np.flatnonzero(weights[:, p] > 0) if p else np.arange(len(queries))  # most have one place or two
+            rows = np.flatnonzero(weights[:, p] > 0) if p else np.arange(len(x))  # most have one place or two
             first = np.argsort(share[rows] == 0, axis=1, kind="stable")[:, : how.neighbours]
             chosen = np.take_along_axis(near[rows], first, axis=1)
             share = np.take_along_axis(share[rows], first, axis=1)
-            values[rows, p], distance = _ridge(
-                references[chosen], self.targets[chosen], share, queries[rows], how.ridge
-            )
-            if p == 0:  # the place of the nearest neighbour
-                novelty = distance
+            values[rows, p], distance = _ridge(references[chosen], self.targets[chosen], share, x[rows], how.ridge)
+            novelty = novelty if p else distance  # the place of the nearest neighbour
         total = weights.sum(axis=1, keepdims=True)
         return LocalAnswers(values, weights / np.where(total > 0, total, 1), novelty)
 
-    def _places(self, near: IntArray, visible: BoolArray) -> IntArray:
+    def _places(self, near: IntArray, visible: BoolArray, radius: float) -> IntArray:
         """(m, crowd) place of each neighbour, below 0 for none: the nearest one without a place starts the next."""
         where = self.targets[near] / self.target_scale
         place = np.where(visible, -1, -2)
-        for p in range(NEIGHBOURS.places):
+        for p in range(_PLACES):
             leader = np.argmax(place == -1, axis=1)
             far = np.linalg.norm(where - np.take_along_axis(where, leader[:, None, None], axis=1), axis=2)
-            place[(far < self.settings.radius) & (place == -1)] = p
+            place[(far < radius) & (place == -1)] = p
         return place
 
 
@@ -145,8 +141,7 @@ def _ridge(
     return values, np.sqrt(np.maximum(square, 0))
 
 
-@dataclass(frozen=True, eq=False)
-class LeftOut:
+class LeftOut(NamedTuple):
     """Estimates of samples by a local regression that could not see their group."""
 
     regression: LocalRegression
@@ -159,9 +154,8 @@ def fit_local(
     targets: FloatArray,
     groups: IntArray,
     *,
-    choices: Sequence[LocalSettings] = CHOICES,
+    choices: Sequence[LocalSettings] = _CHOICES,
     views: Sequence[slice] = (slice(None),),
-    progress: Progress | None = None,
 ) -> LeftOut:
     """The regression under which samples are most probable when their group (n,) is left out, with these estimates.
 
@@ -169,7 +163,9 @@ def fit_local(
     fitted to the settings, so that outliers do not decide. Each choice is tried with each view of the features on some
     samples, and the best of them on more.
     """
-    rows, scale = evenly_spread(len(features), NEIGHBOURS.left_out), _target_scale(targets)
+    rows, variance = evenly_spread(len(features), _LEFT_OUT), targets.var(axis=0)
+    # targets are compared in units of the spread of all positions, and of that of all orientations
+    scale = np.maximum(np.sqrt([variance[:3].sum()] * 3 + [variance[3:].sum()] * 4), 1e-6)
     regressions = []
     for view in views:
         projection = fit_projection(features, max(how.components for how in choices), view)
@@ -181,24 +177,21 @@ def fit_local(
         hidden = groups[rows][:, None] == groups
         return LeftOut(regression, rows, regression.predict(regression.references[rows], hidden))
 
-    some, likelihoods = rows[:: -(-len(rows) // NEIGHBOURS.screened)], []
-    for k, regression in enumerate(regressions):
-        likelihoods.append(_log_likelihood(left_out(regression, some)))
-        if progress is not None:
-            progress(k + 1, len(regressions))
-    best = np.argsort(-np.array(likelihoods), kind="stable")[: NEIGHBOURS.finalists]
+    some = rows[:: -(-len(rows) // _SCREENED)]
+    likelihoods = [_log_likelihood(left_out(regression, some)) for regression in regressions]
+    best = np.argsort(-np.array(likelihoods), kind="stable")[:_FINALISTS]
     return max((left_out(regressions[k], rows) for k in best.tolist()), key=_log_likelihood)
 
 
 def _log_likelihood(left_out: LeftOut) -> float:
-    answers, targets = left_out.answers, left_out.regression.targets[left_out.rows]
+    (values, weights, _), targets = left_out.answers, left_out.regression.targets[left_out.rows]
     d = targets.shape[1]
-    miss = (((answers.values - targets[:, None]) / left_out.regression.target_scale) ** 2).sum(axis=2)
-    nearest = np.where(answers.weights > 0, miss, np.inf).min(axis=1)
+    miss = (((values - targets[:, None]) / left_out.regression.target_scale) ** 2).sum(axis=2)
+    nearest = np.where(weights > 0, miss, np.inf).min(axis=1)
     square = max(float(np.median(nearest)), 1e-12)
     for _ in range(20):  # the likeliest scale, by fixed point
         square = max((d + 1) / d * float(np.mean(nearest / (1 + nearest / square))), 1e-12)
-    density = (answers.weights * (1 + miss / square) ** (-(d + 1) / 2)).sum(axis=1)
+    density = (weights * (1 + miss / square) ** (-(d + 1) / 2)).sum(axis=1)
     return float(np.mean(np.log(density + 1e-300)) - d / 2 * np.log(square))
 
 
@@ -222,24 +215,20 @@ class NeighbourSource:
         features, targets, pieces = data.features[frames], data.targets[frames], data.pieces[frames]
         if len(np.unique(pieces)) < 2 or not np.ptp(features, axis=0).any():
             return None
-        views, report = feature_views(features.shape[1]), stage_of(data.progress, "neighbours")
-        left_out = fit_local(features, targets, pieces, views=views, progress=report)
-        answers, truth, regression = left_out.answers, targets[left_out.rows], left_out.regression
-        typical = max(float(np.median(answers.novelty)), 1e-9)
-        novelty = _relative(answers, typical)
-        same_place = NEIGHBOURS.same_place * float(regression.target_scale[0])
-        offered = answers.weights >= NEIGHBOURS.least_weight
-        values = np.where(offered[:, :, None], answers.values, truth[:, None])
-        off = np.linalg.norm(values[:, :, :3] - truth[:, None, :3], axis=2)
-        angle = angle_between_quats(values[:, :, 3:], truth[:, None, 3:])
-        apart = np.where(offered, off / same_place + angle, np.inf)
-        nearest = np.arange(len(off)), apart.argmin(axis=1)
-        unmeasured, alike = np.zeros(len(off)), np.ones(len(off))
-        errors = fit_error_model(
-            HeldOutErrors(off[nearest], novelty, angle[nearest], novelty, unmeasured, 1 / novelty[:, None], alike),
-            same_place,
+        views = feature_views(features.shape[1])
+        regression, rows, answers = fit_local(features, targets, pieces, views=views)
+        truth, typical = targets[rows, None], max(float(np.median(answers.novelty)), 1e-9)
+        same_place, offered = _SAME_PLACE * float(regression.target_scale[0]), answers.weights >= _LEAST_WEIGHT
+        values = np.where(offered[:, :, None], answers.values, truth)
+        off = np.linalg.norm(values[:, :, :3] - truth[:, :, :3], axis=2)
+        angle = angle_between_quats(values[:, :, 3:], truth[:, :, 3:])
+        nearest = np.arange(len(off)), np.where(offered, off / same_place + angle, np.inf).argmin(axis=1)
+        novelty, distance, weights = np.maximum(answers.novelty / typical, 1e-3), np.zeros(len(off)), np.ones(len(off))
+        held_out = HeldOutErrors(
+            off[nearest], novelty, angle[nearest], novelty, distance, 1 / novelty[:, None], weights
         )
-        limit = max(float(np.quantile(answers.novelty, NEIGHBOURS.usual)), typical)
+        errors = fit_error_model(held_out, same_place)
+        limit = max(float(np.quantile(answers.novelty, _USUAL)), typical)
         return None if errors is None else cls(regression.slim(), frames, typical, limit, errors)
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
@@ -247,63 +236,36 @@ class NeighbourSource:
         if not len(evidence.features):
             return SourceAnswer()
         answers = self.regression.predict(self.regression.projection.apply(evidence.features))
-        novelty = _relative(answers, self.typical)
+        novelty = np.maximum(answers.novelty / self.typical, 1e-3)
         rows = zip(answers.values, answers.weights, novelty.tolist(), strict=True)
         return SourceAnswer(measurements=[self._measurements(*row) for row in rows])
 
     def _measurements(self, values: FloatArray, weights: FloatArray, novelty: float) -> list[PoseMeasurement]:
         measurements, beyond = [], max(novelty * self.typical / self.limit, 1.0)
-        for k in np.flatnonzero(weights >= NEIGHBOURS.least_weight):
+        for k in np.flatnonzero(weights >= _LEAST_WEIGHT):
             orientation = normalise_quat(values[k, 3:])
             raw = PoseMeasurement(values[k, :3], orientation, novelty, novelty, self.regression.settings.neighbours)
             one = self.errors.apply(raw, 1 / novelty)
             # weights are shares of one answer: with more places it is not more probable that all are wrong
-            odds = one.inlier_probability / (1 - one.inlier_probability) * beyond**-NEIGHBOURS.distrust
+            odds = one.inlier_probability / (1 - one.inlier_probability) * beyond**-_DISTRUST
             odds *= float(weights[k])
-            inlier_probability, sigma_m, sigma_rad = odds / (1 + odds), one.sigma_m * beyond, one.sigma_rad * beyond
-            measurements.append(
-                replace(one, inlier_probability=inlier_probability, sigma_m=sigma_m, sigma_rad=sigma_rad)
-            )
+            wider = replace(one, sigma_m=one.sigma_m * beyond, sigma_rad=one.sigma_rad * beyond)
+            measurements.append(replace(wider, inlier_probability=odds / (1 + odds)))
         return measurements
 
     def state(self) -> SourceState:
         """Arrays of the regression, and its settings."""
-        regression = self.regression
-        arrays: dict[str, AnyArray] = {
-            "frames": self.frames,
-            "offset": regression.projection.offset,
-            "components": regression.projection.components,
-            "references": regression.references,
-            "targets": regression.targets,
-            "target_scale": regression.target_scale,
-        }
-        numbers = {"typical": self.typical, "limit": self.limit}
-        return SourceState(
-            arrays, {"regression": asdict(regression.settings), "errors": asdict(self.errors), **numbers}
-        )
+        one, names = self.regression, ("references", "targets", "target_scale")
+        arrays: dict[str, AnyArray] = {name: getattr(one, name) for name in names}
+        arrays |= {"frames": self.frames, **vars(one.projection)}
+        settings = {"regression": one.settings._asdict(), "errors": asdict(self.errors)}
+        return SourceState(arrays, {**settings, "typical": self.typical, "limit": self.limit})
 
     @classmethod
     def from_state(cls, state: SourceState) -> Self:
         """The source that was stored."""
-        arrays, settings = state.arrays, state.settings
-        regression = LocalRegression(
-            Projection(arrays["offset"], arrays["components"]),
-            arrays["references"],
-            arrays["targets"],
-            arrays["target_scale"],
-            LocalSettings(**settings["regression"]),
-        )
+        arrays, settings = dict(state.arrays), state.settings
+        frames, projection = arrays.pop("frames"), Projection(arrays.pop("offset"), arrays.pop("components"))
+        regression = LocalRegression(projection, settings=LocalSettings(**settings["regression"]), **arrays)
         errors = ErrorModel.from_json(settings["errors"])
-        return cls(regression, arrays["frames"], float(settings["typical"]), float(settings["limit"]), errors)
-
-
-def _target_scale(targets: FloatArray) -> FloatArray:
-    """Units (7,) in which targets (n, 7) are compared: the spread of all positions, and that of all orientations."""
-    variance = targets.var(axis=0)
-    spread = np.sqrt([variance[:3].sum()] * 3 + [variance[3:].sum()] * 4)
-    return np.asarray(np.maximum(spread, 1e-6))
-
-
-def _relative(answers: LocalAnswers, typical: float) -> FloatArray:
-    """(n,) novelty in units of what is typical."""
-    return np.maximum(answers.novelty / typical, 1e-3)
+        return cls(regression, frames, float(settings["typical"]), float(settings["limit"]), errors)

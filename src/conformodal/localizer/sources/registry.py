@@ -19,65 +19,38 @@ from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import AnyArray, Float32Array, FloatArray, IntArray, RealArray
 from conformodal.core.parallel import in_threads
 from conformodal.core.progress import StageProgress, stage_of
-from conformodal.core.ranges import as_member
 from conformodal.features.backbone import at_unit_length, coarse_features, feature_views
 from conformodal.features.head import Projection, fit_projection
 from conformodal.features.local import LocalFeatures, Matcher
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Recording, SplitKind, held_out_together
-from conformodal.localizer.errors import LocalizationError
-from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.measurement import PoseMeasurement
+from conformodal.localizer import LocalizationError
+from conformodal.localizer.evidence import FrameEvidence, PoseMeasurement
 from conformodal.tracking.motions import frame_features
 
 
 @dataclass(eq=False)
 class SourceData:
-    """The training frames, as pose sources see them. A source uses only the frames that it is fitted on.
+    """The training frames, as pose sources see them. A source uses only the frames that it is fitted on."""
 
-    Attributes
-    ----------
-    sequence
-        With poses.
-    features
-        (n, F) of all frames.
-    targets
-        (n, 7), see :func:`~conformodal.localizer.targets.pose_targets`.
-    sign_reference
-        (4,) quaternion that fixes the signs of quaternions.
-    split
-        How frames are held out, which decides what is left out together to learn the sizes of errors.
-    depth_m
-        Median depth of what the camera sees; NaN where it is not known.
-    grid
-        Rows and columns of the network's map, which retrieves places; None retrieves them by thumbnails.
-    n_bins, margin, sigma_bins
-        Of the bins, and of the order-aware labels.
-    training
-        Of networks.
-    progress
-        Called with the stage, steps done and steps in all.
-    """
-
-    sequence: Recording
-    features: Float32Array
-    targets: FloatArray
-    sign_reference: FloatArray
+    sequence: Recording  # with poses
+    features: Float32Array  # (n, F) of all frames
+    targets: FloatArray  # (n, 7), see conformodal.localizer.candidates.pose_targets
+    sign_reference: FloatArray  # (4,) quaternion that fixes the signs of quaternions
+    # how frames are held out, which decides what is left out together to learn the sizes of errors
     split: SplitKind = SplitKind.INTERLEAVED
-    depth_m: float = math.nan
+    depth_m: float = math.nan  # median depth of what the camera sees; NaN where it is not known
+    # rows and columns of the network's map, which retrieves places; None retrieves them by thumbnails
     grid: tuple[int, int] | None = None
     n_bins: int = 50
-    margin: float = 0.02
-    sigma_bins: float = 0.7
-    training: TrainingConfig = field(default_factory=TrainingConfig)
+    margin: float = 0.02  # of the bins
+    sigma_bins: float = 0.7  # of order-aware labels
+    training: TrainingConfig = field(default_factory=TrainingConfig)  # of networks
     progress: StageProgress | None = None
     matcher: Matcher = field(default_factory=Matcher)
     _local_features: dict[int, LocalFeatures] = field(default_factory=dict)
     _extracting: Lock = field(default_factory=Lock)
     _projections: dict[tuple[bytes, int | None, bool], Projection] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.split = as_member(self.split, SplitKind, "split", LocalizationError)
 
     def bins_of(self, frames: IntArray) -> QuantileBins:
         """Bins of the targets of some frames."""
@@ -117,18 +90,11 @@ class SourceData:
 
 @dataclass(frozen=True, eq=False)
 class SourceAnswer:
-    """A source's estimates of n images: probabilities of bins, absolute pose estimates, or both.
+    """A source's estimates of n images: probabilities of bins, absolute pose estimates, or both."""
 
-    Attributes
-    ----------
-    proba
-        Seven arrays (n, K_j) over the source's bins, see :attr:`SourceData.bins_of`; None from a source without them.
-    measurements
-        Image by image; of several of one image, at most one is right.
-    """
-
+    # seven arrays (n, K_j) over the source's bins, see SourceData.bins_of; None from a source without them
     proba: list[RealArray] | None = None
-    measurements: Sequence[Sequence[PoseMeasurement]] = ()
+    measurements: Sequence[Sequence[PoseMeasurement]] = ()  # image by image; of several of one, at most one is right
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,24 +106,14 @@ class SourceState:
 
 
 class PoseSource(Protocol):
-    """Estimates the poses of images, after learning from frames with known poses.
+    """Estimates the poses of images, after learning from frames with known poses."""
 
-    Attributes
-    ----------
-    name
-        In saved models and on the command line.
-    local
-        Whether it uses local features; its answers are left out where these were not extracted.
-    frames
-        (m,) frames of the training data that it has seen, increasing.
-    """
-
-    name: ClassVar[str]
-    local: ClassVar[bool]
+    name: ClassVar[str]  # in saved models and on the command line
+    local: ClassVar[bool]  # whether it uses local features; left out where these were not extracted
 
     @property
     def frames(self) -> IntArray:
-        """Frames that it has seen."""
+        """(m,) frames of the training data that it has seen, increasing."""
         ...
 
     @classmethod
@@ -184,13 +140,7 @@ _KINDS: dict[str, type[PoseSource]] = {}
 
 
 def register_source(kind: type[PoseSource]) -> type[PoseSource]:
-    """Register a class of sources by its name; also usable as a decorator.
-
-    Raises
-    ------
-    LocalizationError
-        If another class has that name, or the name is not one of letters, digits, ``_`` and ``-``.
-    """
+    """Register a class of sources by its name, which is of letters, digits, ``_`` and ``-``; usable as a decorator."""
     if not kind.name.replace("-", "_").isidentifier():  # names arrays of a saved model
         raise LocalizationError(f"a pose source's name must be of letters, digits, _ and -, got {kind.name!r}")
     _import_built_in(kind.name)
@@ -203,9 +153,8 @@ def find_source(name: str) -> type[PoseSource]:
     """The class of sources with a name."""
     _import_built_in(name)
     if name not in _KINDS:
-        raise LocalizationError(
-            f"pose source must be one of {', '.join(sorted({**_BUILT_IN, **_KINDS}))}, got {name!r}"
-        )
+        names = ", ".join(sorted({**_BUILT_IN, **_KINDS}))
+        raise LocalizationError(f"pose source must be one of {names}, got {name!r}")
     return _KINDS[name]
 
 
