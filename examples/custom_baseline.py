@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 
 from sklearn.ensemble import ExtraTreesRegressor
 
+from conformodal.core.files import default_cache_dir
 from conformodal.corridor import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
@@ -21,7 +22,7 @@ if __name__ == "__main__":
     with TemporaryDirectory() as folder:
         sequence = read_recording(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
         config = ModelConfig(alpha=0.2, sources=("head",), training=TrainingConfig(epochs=20))
-        data = prepare_training_data(sequence, config, FeatureCache(None))
+        data = prepare_training_data(sequence, config, FeatureCache(default_cache_dir()))
         model = train_model(data, config)
         run = VisualOdometry(model).process(sequence, model.split.test)
 

@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from conformodal.core.files import default_cache_dir
 from conformodal.corridor import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
@@ -32,7 +33,7 @@ if __name__ == "__main__":
     with TemporaryDirectory() as folder:
         sequence = read_recording(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
         config = ModelConfig(alpha=0.2, sources=("head",), training=TrainingConfig(epochs=20))
-        model = train_model(prepare_training_data(sequence, config, FeatureCache(None)), config)
+        model = train_model(prepare_training_data(sequence, config, FeatureCache(default_cache_dir())), config)
         run = VisualOdometry(model).process(sequence, model.split.test)
         truth = sequence.require_truth()[run.frames]
         seen = run.observations(np.arange(len(run.frames)))

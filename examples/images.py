@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from conformodal import VisualOdometry, read_recording, train_model
+from conformodal.core.files import default_cache_dir
 from conformodal.corridor import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
@@ -22,7 +23,7 @@ QUICK = ModelConfig(sources=("head",), training=TrainingConfig(epochs=20))  # fo
 
 def train_and_look(data: Path, config: ModelConfig, out: Path) -> None:
     sequence = read_recording(data)
-    model = train_model(prepare_training_data(sequence, config, FeatureCache(out / "cache")), config)
+    model = train_model(prepare_training_data(sequence, config, FeatureCache(default_cache_dir())), config)
     save_model(model, out / "model")
     run = VisualOdometry(model).process(sequence, model.split.test)
     truth = sequence.require_truth()[run.frames]

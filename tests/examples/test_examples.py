@@ -21,16 +21,18 @@ def test_every_example_is_run():
     assert {path.name for path in FOLDER.glob("*.py")} == set(PRINTED)
 
 
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    """The network and the features of the examples' corridor, for all of them."""
+    return tmp_path_factory.mktemp("cache")
+
+
 @pytest.mark.parametrize("name", PRINTED)
-def test_an_example_runs(name, tmp_path):
-    done = run(name, tmp_path)
+def test_an_example_runs(name, cache, tmp_path):
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "CONFORMODAL_CACHE": str(cache)}
+    command = [sys.executable, str(FOLDER / name)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     for words in PRINTED[name]:
         assert words in done.stdout
     assert not list(tmp_path.iterdir())  # what it makes for itself goes with it
-
-
-def run(name, folder):
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, str(FOLDER / name)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd=folder)
