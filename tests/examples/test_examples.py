@@ -27,7 +27,11 @@ def cache(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")
 
 
-@pytest.mark.parametrize("name", PRINTED)
+# all but one render a corridor, and most train in it
+RUNS = [pytest.param(name, marks=() if name == "custom_score.py" else pytest.mark.slow) for name in PRINTED]
+
+
+@pytest.mark.parametrize("name", RUNS)
 def test_an_example_runs(name, cache, tmp_path):
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "CONFORMODAL_CACHE": str(cache)}
     command = [sys.executable, str(FOLDER / name)]
