@@ -54,8 +54,8 @@ from conformodal.localizer.observations import MotionPrior, Observations, PosePa
 from conformodal.localizer.smoother import image_hypotheses, smooth
 from conformodal.pipeline.config import Calibration, ModelConfig
 from conformodal.pipeline.estimates import OdometryRun
+from conformodal.pipeline.estimator import odometry_of
 from conformodal.pipeline.model import PoseModel
-from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model

@@ -30,8 +30,8 @@ from conformodal.io import Disturbance, Recording, read_recording
 from conformodal.localizer.overlap import near_known
 from conformodal.localizer.sources.landmarks import LandmarkMap
 from conformodal.pipeline.config import ModelConfig
-from conformodal.pipeline.depths import measure_depths
 from conformodal.pipeline.train import prepare_training_data
+from conformodal.pipeline.training_data import measure_depths
 from conformodal.tracking.motions import frame_features
 
 KITCHEN, DESK, XYZ = "7scenes/redkitchen", "tum/fr1_desk", "tum/fr1_xyz"

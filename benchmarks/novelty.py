@@ -17,8 +17,8 @@ from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.regions import PlaceNovelty
 from conformodal.pipeline.config import ModelConfig
-from conformodal.pipeline.folds import make_folds
 from conformodal.pipeline.train import prepare_training_data
+from conformodal.pipeline.training_data import make_folds
 
 SEEDS = (20, 21, 22)
 LEVELS = (0.005, 0.01, 0.015, 0.02, 0.03, 0.05)

@@ -77,7 +77,7 @@ def measured(place: str, seed: int, runs: Path) -> dict[str, dict[str, float]]:
     run = models.run(model)
     truth = models.sequence.require_truth()[run.frames]
     targets = pose_targets(truth, model.sign_reference)
-    alone = np.array([each.positions_xyz[np.argmax(each.log_mass)] for each in run.candidates])
+    alone = np.array([e.candidates.positions_xyz[np.argmax(e.candidates.log_mass)] for e in run.estimates])
     numbers = {"image alone": position_errors(alone, truth.positions_xyz) | region_numbers(run.regions, targets)}
     for path, regions in run.path_regions.items():
         errors = position_errors(run.trajectories[path].positions_xyz, truth.positions_xyz)

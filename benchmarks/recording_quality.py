@@ -18,8 +18,7 @@ from common import ROOT, cached_json, parser_with_seeds, table_lines, write_page
 
 from conformodal.geometry import position_errors_m
 from conformodal.localizer.radius import depth_or_default
-from conformodal.quality.settings import QUALITY
-from conformodal.quality.view_coverage import ViewScale, pose_coverage
+from conformodal.quality.view_coverage import QUALITY, ViewScale, pose_coverage
 
 LARGE_M = 0.1
 PATH, ALONE = "the path", "one frame alone"

@@ -26,7 +26,7 @@ from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.overlap import near_known
 from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.estimates import OdometryRun
-from conformodal.pipeline.paper import odometry_of
+from conformodal.pipeline.estimator import odometry_of
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 
@@ -66,7 +66,7 @@ def measured(source: str, target: str, seed: int, runs: Path, method: Method) ->
     truth, near = new.poses[np.searchsorted(answered, run.frames)], near[np.searchsorted(answered, run.frames)]
     targets, numbers, drawn = pose_targets(truth, model.sign_reference), {}, {}
     regions = {"image alone": run.regions, **run.path_regions}
-    alone = np.array([each.positions_xyz[np.argmax(each.log_mass)] for each in run.candidates])
+    alone = np.array([e.candidates.positions_xyz[np.argmax(e.candidates.log_mass)] for e in run.estimates])
     for name, positions in {"image alone": alone, **{k: t.positions_xyz for k, t in run.trajectories.items()}}.items():
         off = np.linalg.norm(positions - truth.positions_xyz, axis=1)[near]
         numbers[name] = _errors(off)

@@ -36,18 +36,17 @@ AREAS = (7000, 8000, 9500)  # between groups
 def run_in_corridor(folder: Path) -> tuple[Any, Trajectory]:
     """Fly, train and answer the frames that were held out at random; the run, and the truth."""
     from conformodal.corridor import write_corridor  # noqa: PLC0415
-    from conformodal.features.extract import FeatureCache  # noqa: PLC0415
     from conformodal.features.settings import TrainingConfig  # noqa: PLC0415
     from conformodal.io import read_recording  # noqa: PLC0415 - the table needs no camera
     from conformodal.pipeline.config import ModelConfig  # noqa: PLC0415
     from conformodal.pipeline.estimator import VisualOdometry  # noqa: PLC0415
-    from conformodal.pipeline.train import prepare_training_data, train_model  # noqa: PLC0415
+    from conformodal.pipeline.train import train_model  # noqa: PLC0415
 
     write_corridor(folder, n_modules=N_MODULES, n_laps=N_LAPS, seed=0)
     sequence = read_recording(folder)
     training = TrainingConfig(epochs=EPOCHS, dropout=DROPOUT, components=None)
     config = ModelConfig(alpha=0.1, sources=("head", "neighbours"), training=training)
-    model = train_model(prepare_training_data(sequence, config, FeatureCache(None)), config)
+    model = train_model(sequence, config)
     run = VisualOdometry(model).process(sequence, model.split.test)
     return run, sequence.require_truth()[run.frames]
 

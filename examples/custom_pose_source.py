@@ -9,16 +9,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from conformodal.core.files import default_cache_dir
 from conformodal.corridor import write_corridor
-from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import read_recording
 from conformodal.localizer.evidence import PoseMeasurement
 from conformodal.localizer.sources.registry import SourceAnswer, SourceState, register_source
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
-from conformodal.pipeline.train import prepare_training_data, train_model
+from conformodal.pipeline.train import train_model
 
 
 @register_source
@@ -52,6 +50,6 @@ if __name__ == "__main__":
     with TemporaryDirectory() as folder:
         sequence = read_recording(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
         config = ModelConfig(alpha=0.2, sources=("head", "nearest"), training=TrainingConfig(epochs=20))
-        model = train_model(prepare_training_data(sequence, config, FeatureCache(default_cache_dir())), config)
+        model = train_model(sequence, config)
         run = VisualOdometry(model).process(sequence, model.split.test)
         print(f"{len(run.frames)} frames; sources: {', '.join(s.name for s in model.localizer.sources)}")

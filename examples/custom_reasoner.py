@@ -7,9 +7,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from conformodal.core.files import default_cache_dir
 from conformodal.corridor import write_corridor
-from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import trajectory_errors
 from conformodal.io import read_recording
@@ -17,7 +15,7 @@ from conformodal.localizer.observations import MotionPrior, Observations, PosePa
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.stream import as_trajectory
-from conformodal.pipeline.train import prepare_training_data, train_model
+from conformodal.pipeline.train import train_model
 
 
 def nearest(seen: Observations, prior: MotionPrior) -> PosePath:
@@ -33,7 +31,7 @@ if __name__ == "__main__":
     with TemporaryDirectory() as folder:
         sequence = read_recording(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
         config = ModelConfig(alpha=0.2, sources=("head",), training=TrainingConfig(epochs=20))
-        model = train_model(prepare_training_data(sequence, config, FeatureCache(default_cache_dir())), config)
+        model = train_model(sequence, config)
         run = VisualOdometry(model).process(sequence, model.split.test)
         truth = sequence.require_truth()[run.frames]
         seen = run.observations(np.arange(len(run.frames)))

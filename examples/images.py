@@ -8,14 +8,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from conformodal import VisualOdometry, read_recording, train_model
-from conformodal.core.files import default_cache_dir
 from conformodal.corridor import write_corridor
-from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.evaluate import RegionStatistics, coverage_table, error_table
 from conformodal.pipeline.store import save_model
-from conformodal.pipeline.train import prepare_training_data
 from conformodal.report.figures import plan_figure
 
 QUICK = ModelConfig(sources=("head",), training=TrainingConfig(epochs=20))  # for the corridor
@@ -23,7 +20,7 @@ QUICK = ModelConfig(sources=("head",), training=TrainingConfig(epochs=20))  # fo
 
 def train_and_look(data: Path, config: ModelConfig, out: Path) -> None:
     sequence = read_recording(data)
-    model = train_model(prepare_training_data(sequence, config, FeatureCache(default_cache_dir())), config)
+    model = train_model(sequence, config)
     save_model(model, out / "model")
     run = VisualOdometry(model).process(sequence, model.split.test)
     truth = sequence.require_truth()[run.frames]

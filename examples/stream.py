@@ -9,19 +9,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from conformodal import PoseModel, VisualOdometry, open_stream, read_recording, train_model
-from conformodal.core.files import default_cache_dir
 from conformodal.corridor import write_corridor
-from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.store import load_model
-from conformodal.pipeline.train import prepare_training_data
 
 
 def small_model(folder: Path) -> PoseModel:
     sequence = read_recording(write_corridor(folder, n_modules=2, n_laps=1, seed=0))
     config = ModelConfig(sources=("head",), training=TrainingConfig(epochs=20))
-    return train_model(prepare_training_data(sequence, config, FeatureCache(default_cache_dir())), config)
+    return train_model(sequence, config)
 
 
 def follow(model: PoseModel, source: Path | str, most: int | None = None) -> None:

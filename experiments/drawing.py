@@ -20,8 +20,7 @@ from conformodal.core.files import replacing, write_whole
 from conformodal.core.words import counted
 from conformodal.geometry import Trajectory
 from conformodal.io.pose_files import read_tum
-from conformodal.pipeline.errors import ResultsError
-from conformodal.pipeline.results import read_region_records, read_trajectories
+from conformodal.pipeline.results import ResultsError, read_region_records, read_trajectories
 from conformodal.report.figures import COLOURS, as_label, as_svg
 
 _PNG_DPI = 150

@@ -16,8 +16,7 @@ import numpy.typing as npt
 import typer
 from matplotlib.figure import Figure
 
-from conformodal.cli.console import print_where, progress_bars, report_line
-from conformodal.cli.failures import report_errors
+from conformodal.cli.console import print_where, progress_bars, report_errors, report_line
 from conformodal.cli.sources import Cache, Data, DataLayout
 from conformodal.core.arrays import FloatArray
 from conformodal.features.extract import FeatureCache, extract_features
@@ -27,11 +26,10 @@ from conformodal.io.decoding import grey_image
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.pipeline.config import Method, ModelConfig
-from conformodal.pipeline.errors import ResultsError
+from conformodal.pipeline.estimator import odometry_of
 from conformodal.pipeline.identity import data_digest
-from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.provenance import provenance
-from conformodal.pipeline.results import read_metrics, write_metrics, write_run
+from conformodal.pipeline.results import ResultsError, read_metrics, write_metrics, write_run
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 from conformodal.tracking.tracker import CornerTracker

@@ -16,8 +16,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conformodal.cli.console import print_where, progress_bars, report_line
-from conformodal.cli.failures import OptionError, report_errors
+from conformodal.cli.console import OptionError, print_where, progress_bars, report_errors, report_line
 from conformodal.cli.sources import Cache, Data, DataLayout, cache_folder, open_sequence
 from conformodal.core.files import write_whole
 from conformodal.features.extract import FeatureCache

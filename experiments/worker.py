@@ -24,9 +24,9 @@ from conformodal.localizer.filter import hindsight_posteriors
 from conformodal.localizer.greedy import greedy
 from conformodal.pipeline.config import Method
 from conformodal.pipeline.estimates import OdometryRun
+from conformodal.pipeline.estimator import odometry_of
 from conformodal.pipeline.evaluate import error_table
 from conformodal.pipeline.model import PoseModel
-from conformodal.pipeline.paper import odometry_of
 from conformodal.pipeline.plain import PlainRegressor, train_plain, trajectory_of
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import write_metrics, write_run

@@ -1,12 +1,14 @@
 """What tests share: a command run in this process, what a folder holds, and values that are missing."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
 from conformodal.conformal import Regions
 from conformodal.localizer.candidates import Candidates
-from conformodal.localizer.regions import PoseRegions, Support
+from conformodal.localizer.regions import EvidenceType, PoseRegions, Support
+from conformodal.pipeline.results import record_of
 
 
 def invoke(*arguments):
@@ -49,6 +51,16 @@ def fly(folder: Path, seed: int, frames: slice, noise_seed: int) -> Path:
     world = CorridorWorld(3, seed=3)
     write_flight(folder, Renderer(world), drone_path(world, 1, seed=seed).poses_se3[frames], noise_seed=noise_seed)
     return folder
+
+
+def region_record(name, timestamp_s, intervals, known_p=None, evidence=EvidenceType.GLOBAL):
+    """The record of a frame with these intervals (m, 2) per target, whose region is their product."""
+    region = SimpleNamespace(intervals=lambda _: intervals, product=True)
+    estimate = SimpleNamespace(
+        timestamp_s=timestamp_s, relative_motion=None, region=region, known_p=known_p, evidence=evidence,
+        reliable=True, places=[], path_region=None,
+    )  # fmt: skip
+    return record_of(name, estimate)
 
 
 class Missing:

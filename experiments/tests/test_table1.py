@@ -9,8 +9,7 @@ from typer.testing import CliRunner
 
 from conformodal.io import SplitKind
 from conformodal.pipeline.config import Method
-from conformodal.pipeline.errors import ResultsError
-from conformodal.pipeline.results import read_metrics, read_trajectories
+from conformodal.pipeline.results import ResultsError, read_metrics, read_trajectories
 from experiments import figures, table1
 from experiments.baselines import BASELINES
 from experiments.conditions import CALIBRATION_SHARE, rows_of, tasks_of

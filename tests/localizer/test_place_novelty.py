@@ -8,7 +8,7 @@ from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.io import THUMBNAIL
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.regions import EvidenceType, PlaceNovelty
-from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.store import load_model, save_model
 

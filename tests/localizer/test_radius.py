@@ -8,7 +8,7 @@ from conformodal.conformal import hierarchical_maximum_quantile, hierarchical_qu
 from conformodal.geometry import Trajectory
 from conformodal.localizer.radius import Guarantee, fit_pose_radius, pose_errors, recordings_needed
 from conformodal.pipeline.estimates import OdometryRun
-from conformodal.pipeline.selection import recording_errors
+from conformodal.pipeline.train import recording_errors
 
 
 def trajectory(n, seed):

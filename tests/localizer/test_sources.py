@@ -12,8 +12,8 @@ from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.sources import registry
 from conformodal.localizer.sources.head import HeadSource
 from conformodal.localizer.sources.registry import SourceAnswer, SourceState, find_source, register_source
-from conformodal.pipeline.errors import ModelFileError, OdometryError
-from conformodal.pipeline.store import load_model, save_model
+from conformodal.pipeline.config import OdometryError
+from conformodal.pipeline.store import ModelFileError, load_model, save_model
 
 
 def same_answers(one, other):

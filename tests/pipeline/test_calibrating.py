@@ -14,10 +14,9 @@ from conformodal.localizer.sources import registry
 from conformodal.localizer.sources.registry import SourceAnswer, register_source
 from conformodal.pipeline import calibrate as calibrating
 from conformodal.pipeline.calibrate import calibrate_regions, compare_sources
-from conformodal.pipeline.config import Calibration, ModelConfig
-from conformodal.pipeline.errors import OdometryError
-from conformodal.pipeline.folds import Fold, Folds
+from conformodal.pipeline.config import Calibration, ModelConfig, OdometryError
 from conformodal.pipeline.train import prepare_training_data, train_model
+from conformodal.pipeline.training_data import Fold, Folds
 from tests.localizer.conftest import Told
 
 BINS = QuantileBins.from_edges([np.linspace(-4, 4, 21)] * 7)

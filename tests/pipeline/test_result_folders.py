@@ -16,17 +16,16 @@ from conformodal.core.files import PART, write_whole
 from conformodal.geometry import Trajectory
 from conformodal.io.folders import FolderError, FolderInUseError, writing_in
 from conformodal.io.pose_files import write_tum
-from conformodal.pipeline.errors import ResultsError
 from conformodal.pipeline.results import (
     UNFINISHED,
+    ResultsError,
     ResultsWriter,
     lock_output,
     read_region_records,
     read_trajectories,
-    region_record,
     write_metrics,
 )
-from tests.helpers import contents, fill, invoke
+from tests.helpers import contents, fill, invoke, region_record
 
 # files of a folder, and the commands that may write in it
 ANY = {"train", "run", "demo", "evaluate"}
@@ -121,7 +120,7 @@ def write_results(folder, n=6, shift=0.0, truth=True, after=None):
             if i == after:
                 raise OSError(errno.ENOSPC, "No space left on device")
             parts = [np.array([[v - 0.2, v + 0.2]]) for v in (*path.positions_xyz[i], 1.0, 0.0, 0.0, 0.0)]
-            writer.region(region_record(f"frame-{i}", float(path.timestamps_s[i]), None, parts))
+            writer.region(region_record(f"frame-{i}", float(path.timestamps_s[i]), parts))
             writer.poses("online", path[i : i + 1])
         if n == after:
             raise KeyboardInterrupt
@@ -168,10 +167,6 @@ def says(**changes):
     return change
 
 
-def content(name, text):
-    return lambda f: fill(f, {name: text})
-
-
 # what is changed in a folder of results, and the words of the refusal
 CHANGED = {
     "killed": (
@@ -179,13 +174,11 @@ CHANGED = {
         "regions.jsonl.part. Run it again",
     ),
     "no metrics": (drop("metrics.json"), "metrics.json"),
-    "metrics are broken": (content("metrics.json", "{"), "metrics.json"),
     "signs are three": (says(sign_reference_quat_wxyz=[1, 0, 0]), "not four numbers"),
     "a method has other times": (
         lambda f: write_tum(f / "methods" / "online.tum", replace(path_of(6), timestamps_s=9 + np.arange(6.0))),
         "poses of online have other times",
     ),
-    "regions are missing": (drop("regions.jsonl"), "regions.jsonl"),
     "regions are others": (cut("regions.jsonl", 400), "regions.jsonl"),
     "the answer is another": (cut("trajectory.tum", 90), "trajectory.tum: is not the file"),
 }
@@ -212,11 +205,9 @@ WHOLE = {t: [[0, 1]] for t in ("x", "y", "z", "q_w", "q_x", "q_y", "q_z")}
 RECORD = {"timestamp_s": 1.0, "frame": "f", "motion": "first", "reliable": True, "intervals": WHOLE}
 RECORD |= {"evidence": "global", "places": None, "path_places": None}
 LINES = {
-    "a list": [],
     "no intervals": {k: v for k, v in RECORD.items() if k != "intervals"},
     "no reliability": {k: v for k, v in RECORD.items() if k != "reliable"},
     "intervals of others": RECORD | {"intervals": {"x": []}},
-    "no time": RECORD | {"timestamp_s": None},
     "a name that is a number": RECORD | {"frame": 3},
     **{
         f"x is {x}": RECORD | {"intervals": WHOLE | {"x": x}} for x in ([[0, 1, 2]], [["0", "1"]], [1, 2], [[0, 1e999]])

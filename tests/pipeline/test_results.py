@@ -1,17 +1,14 @@
 import shutil
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import conformodal
 from conformodal.conformal import ConformodalError
 from conformodal.geometry import Trajectory
 from conformodal.io.pose_files import read_tum
-from conformodal.pipeline.errors import ResultsError
-from conformodal.pipeline.provenance import provenance, source_revision
-from conformodal.pipeline.results import intervals_hold, read_metrics, read_region_records, records_hold
+from conformodal.pipeline.provenance import source_revision
+from conformodal.pipeline.results import ResultsError, intervals_hold, read_metrics, read_region_records, records_hold
 
 
 def record(**parts):
@@ -71,10 +68,3 @@ def test_a_changed_source_is_dirty_and_a_result_just_written_is_no_change(tmp_pa
     assert source_revision(tmp_path) == commit
     source.write_text("2")
     assert source_revision(tmp_path) == f"{commit}-dirty"
-
-
-def test_the_revision_is_that_of_the_checkout_which_the_package_lies_in():
-    root = Path(__file__).resolve().parents[2]
-    assert (root / "src" / "conformodal" / "__init__.py").samefile(conformodal.__file__)
-    assert provenance()["source_revision"] == source_revision(root)
-    assert (source_revision(root) is None) == (shutil.which("git") is None or not (root / ".git").exists())

@@ -8,7 +8,7 @@ from scipy.stats import betabinom
 
 from conformodal.conformal import QuantileBins, SplitConformal, conformal_rank
 from conformodal.localizer.regions import EvidenceType, RegionRules
-from conformodal.quality.guarantee import N_NEW, guarantees
+from conformodal.quality.examining import N_NEW, guarantees
 
 BINS = QuantileBins.from_edges([[0, 1, 2], [0, 1, 2]])
 

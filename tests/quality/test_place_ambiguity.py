@@ -9,8 +9,7 @@ from conformodal.localizer.observations import Place
 from conformodal.localizer.regions import EvidenceType
 from conformodal.quality.advice import advice, verdict
 from conformodal.quality.examining import RecordingQuality
-from conformodal.quality.place_ambiguity import ambiguity
-from conformodal.quality.view_coverage import ViewScale
+from conformodal.quality.view_coverage import ViewScale, ambiguity
 
 SCALE = ViewScale(depth_m=2.0, fov_rad=1.0)  # places of which more than 2 m apart show nothing in common
 FORWARD = np.array([1.0, 0, 0, 0])

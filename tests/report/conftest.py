@@ -7,8 +7,8 @@ import pytest
 
 from conformodal.geometry import Trajectory
 from conformodal.localizer.regions import EvidenceType
-from conformodal.pipeline.results import region_record
 from conformodal.report.viewer import Thumbnails
+from tests.helpers import region_record
 
 CHECKS = (Path(__file__).parent / "checks.js").read_text(encoding="utf-8")
 
@@ -60,7 +60,7 @@ def made_up_run(n=60, truth=True, whole_line=False):
             around[1] = np.array([[-np.inf, np.inf]])
         if i == 7:
             around, kind, p = [np.array([[-np.inf, np.inf]])] * 7, EvidenceType.UNKNOWN, 0.003
-        records.append(region_record(f"frame-{i:03d}", times[i], None, around, p, kind))
+        records.append(region_record(f"frame-{i:03d}", times[i], around, p, kind))
         pictures.add(f"frame-{i:03d}", rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
     trajectories = {
         "smoothed": Trajectory(times, places + 0.01, quats),

@@ -1,18 +1,17 @@
 """Names are text and nothing else: on the terminal, in JSON, in tables and on pages."""
 
-import io
 import json
 import re
 
 import numpy as np
 import pytest
 
-from conformodal.cli.console import PlainConsole, plain
+from conformodal.cli.console import plain, report_line
 from conformodal.geometry import Trajectory
-from conformodal.pipeline.results import ResultsWriter, read_region_records, region_record
+from conformodal.pipeline.results import ResultsWriter, read_region_records
 from conformodal.report.page import write_page
 from conformodal.report.viewer import make_viewer
-from tests.helpers import invoke
+from tests.helpers import invoke, region_record
 
 NAMES = {
     "markup": "x[final][bold red]x[/bold red]", "link": "[link=http://a]x[/link]", "backslash": "a\\[b]\\:x:",
@@ -29,15 +28,9 @@ def name(request):
     return NAMES[request.param]
 
 
-def shown(*things, **options):
-    file = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
-    PlainConsole(file=file, force_terminal=True, color_system="truecolor", width=9000).print(*things, **options)
-    file.flush()
-    return file.buffer.getvalue().decode()
-
-
-def test_the_terminal_shows_names_as_they_are(name):
-    said = shown(f"{name}: 7scenes layout", soft_wrap=True)
+def test_the_terminal_shows_names_as_they_are(name, capsys):
+    report_line(f"{name}: 7scenes layout")
+    said = capsys.readouterr().out
     assert said == f"{plain(name)}: 7scenes layout\n"
     assert all(c.isprintable() for c in said.rstrip("\n"))
     if name.isprintable():
@@ -58,7 +51,7 @@ def test_frames_of_any_name_are_stored_and_shown(name, tmp_path):
     with ResultsWriter(tmp_path) as writer:
         writer.poses("smoothed", PATH)
         for t in range(3):
-            writer.region(region_record(f"{name}{t}", float(t), None, [np.array([[-2.0, 2.0]])] * 7))
+            writer.region(region_record(f"{name}{t}", float(t), [np.array([[-2.0, 2.0]])] * 7))
     records = read_region_records(tmp_path / "regions.jsonl")
     assert [r["frame"] for r in records] == [f"{name}{i}" for i in range(3)]
     viewer = make_viewer(records, {"smoothed": PATH}, images={f"{name}{i}": b"jpeg" for i in range(3)})

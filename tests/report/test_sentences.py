@@ -3,8 +3,8 @@ import pytest
 
 from conformodal.geometry import Trajectory
 from conformodal.localizer.regions import EvidenceType
-from conformodal.pipeline.results import region_record
 from conformodal.report.viewer import kind_of, make_viewer
+from tests.helpers import region_record
 
 HERE = np.array([[-0.05, 0.05]])
 THERE = np.array([[-0.05, 0.05], [9.9, 10.15]])
@@ -27,7 +27,7 @@ NONE = np.empty((0, 2))
 )  # fmt: skip
 def test_a_frame_is_told_by_its_region_and_its_pose(parts, position, truth, kind, facts):
     evidence = EvidenceType.UNKNOWN if kind == "unknown place" else EvidenceType.LANDMARKS
-    record = region_record("f", 0.0, None, [*parts, *[LINE] * 4], 0.00312, evidence)
+    record = region_record("f", 0.0, [*parts, *[LINE] * 4], 0.00312, evidence)
     here, there = (None if at is None else Trajectory([0.0], [at], [[1.0, 0, 0, 0]]) for at in (position, truth))
     (shown,) = make_viewer([record], {"smoothed": here}, there)["data"]["frames"]
     assert kind_of(shown) == kind

@@ -9,9 +9,9 @@ from PIL import Image
 
 from conformodal.geometry import Trajectory
 from conformodal.localizer.regions import EvidenceType
-from conformodal.pipeline.results import region_record
 from conformodal.report.page import write_page
 from conformodal.report.viewer import make_viewer
+from tests.helpers import region_record
 
 METRICS = {"provenance": {}, "configuration": {}, "n_answered": 60, "split_note": "all frames."}
 
@@ -105,8 +105,8 @@ def test_a_frame_that_shows_no_known_place_has_no_box():
     one = Trajectory(np.array([0.0, 0.1]), np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)))
     whole = [np.array([[-np.inf, np.inf]])] * 7
     records = [
-        region_record("a", 0.0, None, [np.array([[0.0, 1.0]])] * 7, 0.43, EvidenceType.LANDMARKS),
-        region_record("b", 0.1, None, whole, 0.003, EvidenceType.UNKNOWN),
+        region_record("a", 0.0, [np.array([[0.0, 1.0]])] * 7, 0.43, EvidenceType.LANDMARKS),
+        region_record("b", 0.1, whole, 0.003, EvidenceType.UNKNOWN),
     ]
     viewer = make_viewer(records, {"smoothed": one}, level=0.01)
     assert viewer["known"]

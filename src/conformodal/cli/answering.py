@@ -1,37 +1,37 @@
-"""Answering a stream: each frame is answered, written and shown; then come the numbers and the page."""
+"""Answering a stream: each frame is answered, written and shown; then come the numbers, in words, and the page."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.progress import StageProgress
-from conformodal.core.words import counted
+from conformodal.core.words import counted, noun_for
 from conformodal.geometry import Trajectory
 from conformodal.io import Recording
 from conformodal.io.streams.frames import Frame, FrameStream, SourceError
 from conformodal.io.streams.prefetch import Pace, prefetch
 from conformodal.io.streams.stored import RecordingStream
 from conformodal.localizer.regions import EvidenceType
-from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.estimates import Estimate
-from conformodal.pipeline.evaluate import coverage_table, error_table, is_exchangeable, radius_table
+from conformodal.pipeline.estimator import odometry_of
+from conformodal.pipeline.evaluate import coverage_table, error_table, radius_table
 from conformodal.pipeline.identity import identify, same_poses
-from conformodal.pipeline.model import PoseModel
-from conformodal.pipeline.paper import odometry_of
+from conformodal.pipeline.model import HINDSIGHT, ONLINE, PoseModel
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import ResultsWriter, record_bounded, write_metrics, write_region_parquet
 from conformodal.pipeline.stream import StreamRunner
-from conformodal.report.page import PAGE, PageFigure, write_page
+from conformodal.report.page import METHOD_LABELS, PAGE, PageFigure, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
 
 from .console import report_line
@@ -49,12 +49,8 @@ class Part(StrEnum):
     TEST = "test"
 
 
-class FrameSink(Protocol):
-    """Receives every frame with its estimate."""
-
-    def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
-        """Take a frame; `truth` is a trajectory of one, or None."""
-        ...
+# takes every frame with its estimate, and its true pose, a trajectory of one, or None
+FrameSink: TypeAlias = Callable[[Frame, Estimate, Trajectory | None], None]
 
 
 @dataclass(eq=False)
@@ -127,7 +123,7 @@ def answer_stream(
                         estimate = runner.push(frame)
                         if estimate is not None:
                             for sink in sinks:
-                                sink.log(frame, estimate, runner.true_pose(frame))
+                                sink(frame, estimate, runner.true_pose(frame))
                             report("frames", number, stream.n_frames or 0)
                         if estimate is not None and estimate.region is not None and frame.image is not None:
                             pictures.add(frame.name, frame.image)
@@ -149,20 +145,20 @@ def answer_stream(
 
 def metrics_of(answers: Answers) -> dict[str, Any]:
     """The content of ``metrics.json``."""
-    model, runner, part = answers.model, answers.runner, answers.part
-    n_part = runner.n_answered
-    note = "all frames of the source (training frames among them, if the source is the training data)."
+    model, runner, part, split = answers.model, answers.runner, answers.part, answers.model.split
+    note, every = "all frames of the source (training frames among them, if the source is the training data).", False
     if part is not Part.ALL:
-        n_part = len(model.split.part(str(part)))
-        some = "" if runner.n_answered == n_part else f"{runner.n_answered} of {counted(n_part, 'frame')} of "
-        note = f"{some}the {part} part of split {model.split.kind}, seed {model.split.seed}."
+        n_part = len(split.part(str(part)))
+        every = runner.n_answered == n_part
+        some = "" if every else f"{runner.n_answered} of {counted(n_part, 'frame')} of "
+        note = f"{some}the {part} part of split {split.kind}, seed {split.seed}."
     metrics: dict[str, Any] = {
         "command": "run",
         "provenance": provenance(),
         "configuration": {**model.settings, "part": str(part)},
-        "seed": model.split.seed,
+        "seed": split.seed,
         "sign_reference_quat_wxyz": model.sign_reference.tolist(),
-        "split": str(model.split.kind),
+        "split": str(split.kind),
         "split_note": note,
         "n_answered": runner.n_answered,
         "results": answers.writer.digests,
@@ -176,10 +172,10 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
         "stopped": answers.stopped,
         "seconds": answers.seconds,
     }
-    truth, paths, whole = runner.truth, answers.trajectories, answers.whole
-    rows = None if truth is None else np.array(runner.known)
+    truth, paths = runner.truth, answers.trajectories
+    rows = None if truth is None else np.array(runner.rows_with_truth)
     # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it tells nothing
-    radius = model.radius if whole and part is Part.ALL else None
+    radius = model.radius if answers.whole and part is Part.ALL else None
     metrics["radius"] = radius_table(radius, paths, truth, rows)
     if truth is not None and rows is not None:
         paths = {name: path[rows] for name, path in paths.items()}
@@ -188,13 +184,9 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
         if recognised.any() and not recognised.all():
             subset = {name: path[recognised] for name, path in paths.items()}
             metrics["errors_known_places"] = error_table(subset, truth[recognised])
-        exchangeable = whole and part is not Part.ALL and runner.n_answered == n_part
-        metrics["coverage"] = coverage_table(
-            runner.statistics,
-            model,
-            exchangeable=exchangeable and is_exchangeable(model, str(part)),
-            seen=part in (Part.TRAIN, Part.CALIBRATION),
-        )
+        exchangeable = answers.whole and part is Part.TEST and every and model.frames_are_exchangeable
+        seen = part in (Part.TRAIN, Part.CALIBRATION)
+        metrics["coverage"] = coverage_table(runner.statistics, model, exchangeable=exchangeable, seen=seen)
         metrics["path_coverage"] = runner.path_coverage
     return metrics
 
@@ -215,3 +207,80 @@ def write_answers(
     level = answers.model.rules.level
     viewer = make_viewer(records, answers.trajectories, runner.truth, answers.pictures, level, walls)
     write_page(folder / PAGE, title, summary, metrics, figures, viewer)
+
+
+def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:
+    """What was answered, and what a user must know of it: the first lines of the page and on the terminal."""
+    n, n_unknown, radius = counted(metrics["n_answered"], "frame"), metrics["n_unknown"], metrics["radius"]
+    lines = [
+        f"{name}: {n} answered, {metrics['split_note']}",
+        f"Frames not reliable (motion or place): {metrics['n_unreliable']}; without an image: "
+        f"{metrics['n_without_image']}; with a pose from landmarks: {metrics['n_localized']}.",
+    ]
+    if n_unknown:
+        verb, rest = noun_for(n_unknown, "shows", "show"), metrics.get("errors_known_places", {}).get(ONLINE)
+        lines.append(f"{n_unknown} of {n} {verb} no known place: the region is unbounded there.")
+        if rest is not None:
+            lines.append(f"Without these the online RMSE is {rest['rmse_m']:.4f} m and {rest['rmse_deg']:.4f} degrees.")
+    if n_unbounded := metrics["n_unbounded"]:
+        lines.append(
+            f"The region is unbounded in some target in {n_unbounded} of {n}, which show a known place: too few "
+            "calibration frames have the same evidence type for this alpha, or too many lie beyond the training range."
+        )
+    if radius is not None:
+        size = "infinity: too few recordings calibrate it"
+        if radius["radius_m"] is not None and radius["radius_deg"] is not None:
+            size = f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees"
+        lines.append(f"The {radius['method']} pose has a radius of {size}. {radius['assumption']}")
+    if metrics["stopped"]:
+        lines.append(f"Stopped early: {metrics['stopped']}. All results up to then are here.")
+    return lines
+
+
+def report_outcome(name: str, metrics: dict[str, Any]) -> None:
+    """The result on the terminal."""
+    for line in describe_outcome(name, metrics):
+        report_line(line)
+    for frame, problem in list(metrics["problems"].items())[:3]:
+        report_line(f"  {frame}: {problem}")
+    if "errors" not in metrics:
+        return
+    if metrics["n_with_truth"] < metrics["n_answered"]:
+        report_line(f"{metrics['n_with_truth']} of {metrics['n_answered']} frames have a true pose; of these:")
+    print_errors(metrics["errors"], metrics["split_note"])
+    coverage, band = metrics["coverage"], metrics["coverage"]["joint_band_99"]
+    between = "" if band is None else f" (99 % band {band[0]:.3f} to {band[1]:.3f})"
+    report_line(
+        f"{describe_coverage(coverage)}; over all frames {coverage['joint_coverage']:.3f}{between}, "
+        f"alpha = {coverage['alpha']} ({coverage['joint']}). {coverage['assumption']}"
+    )
+    if paths := metrics["path_coverage"]:
+        for path, words in ((ONLINE, "From the frames so far"), (HINDSIGHT, "With hindsight")):
+            if row := paths.get(path):
+                report_line(
+                    f"{words}, regions hold the pose in {100 * row['coverage']:.1f} % of the frames and name "
+                    f"{row['mean_places'] or 0:.2f} places on average."
+                )
+        missed = f"{paths['n_reliable_and_missed']} of {counted(paths['n_reliable'], 'reliable frame')}"
+        report_line(f"The region from the frames so far misses the pose in {missed}. {paths['assumption']}")
+
+
+def print_errors(errors: dict[str, dict[str, float]], note: str) -> None:
+    """The table of errors by method."""
+    columns, width = ("rmse_m", "rmse_deg", "median_m", "median_deg"), max(map(len, METHOD_LABELS.values()))
+    report_line(f"errors, {note}")
+    report_line(f"{'method':<{width}}" + "".join(f"{column:>12}" for column in columns))
+    for name, row in errors.items():
+        label = METHOD_LABELS.get(name, name)
+        report_line(f"{label:<{width}}" + "".join(f"{row[column]:>12.4f}" for column in columns))
+
+
+def describe_coverage(coverage: dict[str, Any]) -> str:
+    """How often bounded regions hold the whole pose, beside the share of regions that are unbounded in some target."""
+    n, n_bounded = coverage["n_evaluated"], coverage["n_bounded"]
+    open_ended = f"{n - n_bounded} of {counted(n, 'region')} unbounded in some target"
+    if not n_bounded:
+        return f"{open_ended}, which says nothing of coverage"
+    held, share = round(coverage["bounded_coverage"] * n_bounded), 100 * coverage["bounded_coverage"]
+    verb = noun_for(held, "holds", "hold")
+    return f"{held} of {counted(n_bounded, 'bounded region')} ({share:.1f} %) {verb} the whole pose; {open_ended}"

@@ -12,19 +12,16 @@ from conformodal.conformal.checks import as_alpha
 from conformodal.core.words import counted, noun_for
 from conformodal.io import Layout
 from conformodal.localizer.radius import Guarantee, recordings_needed
-from conformodal.pipeline.config import Method
-from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.config import Method, OdometryError
 from conformodal.pipeline.model import METHODS
 from conformodal.pipeline.results import lock_output
-from conformodal.pipeline.selection import calibrate_selection
 from conformodal.pipeline.store import load_model, save_model
+from conformodal.pipeline.train import calibrate_selection
 
-from .console import print_where, progress_bars, report_line, report_strongly
-from .failures import OptionError, report_errors
+from .console import OptionError, print_where, progress_bars, report_line
 from .sources import DataLayout, FollowOutside, SavedModel, open_sequence
 
 
-@report_errors()
 def calibrate(
     model: SavedModel,
     data: Annotated[Path, typer.Argument(help="Recordings with poses that the model was not trained on.")],
@@ -52,15 +49,17 @@ def calibrate(
     with lock_output(model, "train", apart=[data]):
         sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
         with progress_bars(model) as report:
-            radius = calibrate_selection(loaded, sequence, alpha, guarantee, method, metres_per_radian, progress=report)
-        loaded.radius = radius
+            loaded.radius = radius = calibrate_selection(
+                loaded, sequence, alpha, guarantee, method, metres_per_radian, progress=report
+            )
         save_model(loaded, model)
     if isfinite(radius.radius_m):
         report_line(f"radius {radius.radius_m:.4f} m and {radius.radius_deg:.2f} degrees. {radius.assumption}")
     else:
-        report_strongly(
+        report_line(
             f"The radius is infinite: {counted(radius.n_recordings, 'recording')} "
             f"{noun_for(radius.n_recordings, 'is', 'are')} too few for alpha = {alpha:g}; "
-            f"at least {recordings_needed(alpha)} are needed, and more where frames could not be read."
+            f"at least {recordings_needed(alpha)} are needed, and more where frames could not be read.",
+            bold=True,
         )
     print_where(model)

@@ -7,7 +7,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from conformodal.core.files import default_cache_dir
@@ -25,15 +24,13 @@ from conformodal.io.reading import Note
 from conformodal.io.streams.frames import FrameStream
 from conformodal.io.streams.stored import RecordingStream
 from conformodal.localizer.overlap import Overlap, measure_overlap
-from conformodal.pipeline.depths import measure_depths
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import lock_output, write_metrics
 from conformodal.pipeline.store import load_model, model_digest
 from conformodal.quality.advice import quality_record
-from conformodal.quality.examining import examine
+from conformodal.quality.examining import examine, scene_depth
 
-from .console import print_where, progress_bars, report_line, report_strongly
-from .failures import OptionError, report_errors
+from .console import OptionError, print_where, progress_bars, report_line
 from .sources import (
     AllData,
     Cache,
@@ -59,7 +56,6 @@ def data() -> None:
 
 
 @app.command()
-@report_errors()
 def check(
     folders: AllData,
     layout: DataLayout = Layout.AUTO,
@@ -104,7 +100,7 @@ def check(
             record["quality"] = quality_record(quality)
             for line in record["quality"]["summary"]:
                 report_line(line)
-            report_strongly(record["quality"]["verdict"])
+            report_line(record["quality"]["verdict"], bold=True)
             for number, line in enumerate(record["quality"]["advice"], start=1):
                 report_line(f"  {number}. {line}")
         if out is not None:
@@ -116,7 +112,6 @@ def check(
 
 
 @app.command()
-@report_errors()
 def convert(
     source: Annotated[str, typer.Argument(help="A data set's folder, a video, or a ROS recording.")],
     out: Annotated[Path, typer.Option(help="Folder to write, new or empty.")],
@@ -145,11 +140,7 @@ def convert(
     lens = stream.camera or _camera(camera, stream)
     gap_s, total = 0.0 if poses is None else max_gap, stream.n_frames or 0
     with progress_bars() as report:
-
-        def progress(number: int) -> None:
-            report("frames", number, max(total, number))
-
-        done = write_layout(out, to, stream, lens, truth, progress, max_gap_s=gap_s)
+        done = write_layout(out, to, stream, lens, truth, lambda n: report("frames", n, max(total, n)), max_gap_s=gap_s)
     report_line(f"{counted(done.n_frames, 'frame')} written as {to}, {done.n_posed} of them with poses")
     for note in done.notes:
         report_line(f"note: {note}")
@@ -198,9 +189,7 @@ def _report_overlaps(parts: list[Recording]) -> list[Overlap]:
         if first.poses is None or part.poses is None:
             report_line(f"{part.name}: whether it overlaps with {first.name} is known only where both have poses")
             continue
-        depth_m = float("nan") if first.truth is None else measure_depths(first, np.arange(len(first)))[0]
         new = part if part.camera == first.camera else as_camera(part, first.camera)
-        overlaps.append(measure_overlap(first, new, depth_m))
-        report = report_strongly if overlaps[-1].frames_differ else report_line
-        report(overlaps[-1].describe(first.name, part.name))
+        overlaps.append(measure_overlap(first, new, scene_depth(first)))
+        report_line(overlaps[-1].describe(first.name, part.name), bold=overlaps[-1].frames_differ)
     return overlaps

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -32,11 +32,18 @@ from conformodal.pipeline.train import prepare_training_data
 from conformodal.report.figures import plan_figure
 from conformodal.report.page import PAGE, PageFigure
 
-from .answering import Answers, Part, answer_stream, metrics_of, part_frames, write_answers
+from .answering import (
+    Answers,
+    Part,
+    answer_stream,
+    describe_outcome,
+    metrics_of,
+    part_frames,
+    report_outcome,
+    write_answers,
+)
 from .console import print_where, progress_bars, report_line
-from .failures import report_errors
-from .outcome import describe_outcome, report_outcome
-from .training import train_on
+from .train import train_on
 
 N_MODULES, N_LAPS = 5, 2
 # Strong dropout: in a world made of copies, a network that remembers frames tells copies apart by chance details. All
@@ -46,20 +53,6 @@ ALPHA = 0.02
 _PAPERS_ALPHA = 0.1  # the paper's example, of each target
 
 
-@dataclass(eq=False)
-class _AnsweredFrames:
-    """The frames of a stream that were answered, and their regions."""
-
-    frames: list[int] = field(default_factory=list)
-    regions: list[PoseRegions] = field(default_factory=list)
-
-    def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
-        if estimate.region is not None:
-            self.frames.append(frame.index)
-            self.regions.append(estimate.region)
-
-
-@report_errors()
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for all files of the demo.")] = Path("demo-out"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of the world, flight, split and training.")] = 0,
@@ -72,13 +65,19 @@ def demo(
     with lock_output(out, "demo"), progress_bars(out) as report:
         sequence = _corridor(out / "corridor" / f"corridor-{seed}", seed, report)
         model = train_on(sequence, config, out / "model", features=features, report=report)
-        answered = _AnsweredFrames()
+        answered: dict[int, PoseRegions] = {}
+
+        def note(frame: Frame, estimate: Estimate, _: Trajectory | None) -> None:
+            if estimate.region is not None:
+                answered[frame.index] = estimate.region
+
         stream = RecordingStream(sequence, part_frames(model, sequence, Part.TEST))
-        answers = answer_stream(model, stream, out, report, part=Part.TEST, sinks=[answered])
-        regions, truth = PoseRegions.concatenate(answered.regions), sequence.require_truth()[np.array(answered.frames)]
+        answers = answer_stream(model, stream, out, report, part=Part.TEST, sinks=[note])
+        regions = PoseRegions.concatenate(list(answered.values()))
+        truth = sequence.require_truth()[np.array(list(answered))]
         # a regressor with the same features, epochs and settings
         classical = train_plain(prepare_training_data(sequence, config, features, report), config.training)
-        looked_at = extract_features([sequence.image_paths[i] for i in answered.frames], model.backbone, features)
+        looked_at = extract_features([sequence.image_paths[i] for i in answered], model.backbone, features)
         answers.trajectories["classical"] = classical.trajectory(looked_at, truth.timestamps_s)
         write_tum(out / "methods" / "classical.tum", answers.trajectories["classical"])
         world = CorridorWorld(N_MODULES, seed=seed)

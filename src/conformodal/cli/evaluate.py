@@ -16,7 +16,7 @@ from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, straightness
 from conformodal.io import Layout
 from conformodal.io.folders import writing_in
 from conformodal.localizer.candidates import TARGET_NAMES
-from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.evaluate import bounded_coverage, error_table
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import (
@@ -28,13 +28,11 @@ from conformodal.pipeline.results import (
     write_metrics,
 )
 
-from .console import print_where, report_line, report_strongly
-from .failures import report_errors
-from .outcome import describe_coverage, print_errors
+from .answering import describe_coverage, print_errors
+from .console import print_where, report_line
 from .sources import FollowOutside, MaxGap, TimeOffset, open_sequence, read_poses
 
 
-@report_errors()
 def evaluate(
     out: Annotated[Path, typer.Argument(help="Folder of results that run wrote.")],
     truth: Annotated[Path, typer.Option(help="True poses: a TUM trajectory, or a data set with poses.")],
@@ -87,7 +85,7 @@ def evaluate(
         f"gap bridged is {gaps[posed].max():.3g} s{hint}"
     )
     if doubt:
-        report_strongly(doubt)
+        report_line(doubt, bold=True)
     aligned_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
     print_errors(errors, f"against {truth.name}{aligned_by}")
     report_line(describe_coverage(coverage))

@@ -12,16 +12,14 @@ import typer
 
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.store import load_model, model_digest
-from conformodal.quality.guarantee import guarantees
+from conformodal.quality.examining import guarantees
 
 from .console import report_line
-from .failures import report_errors
 from .sources import SavedModel
 
 _TIMED = 20
 
 
-@report_errors()
 def info(
     model: SavedModel, as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False
 ) -> None:
@@ -36,8 +34,13 @@ def info(
 
 def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
     """The facts that :func:`info` prints, for JSON."""
-    rules, split, camera = model.rules, model.split, model.camera
+    rules, split, camera, config = model.rules, model.split, model.camera, model.backbone.config
     by_type = guarantees(model)
+    image, times = np.random.default_rng(0).integers(0, 256, (1, config.height, config.width, 3), dtype=np.uint8), []
+    for _ in range(_TIMED):
+        started = time.perf_counter()
+        model.backbone.maps(image)
+        times.append(1e3 * (time.perf_counter() - started))
     return {
         "model": model_digest(folder),
         "method": str(model.method),
@@ -57,8 +60,8 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
         "guarantees": [one.describe() for one in by_type],
         "radius_m": None if model.radius is None else model.radius.radius_m,
         "bytes": {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()},
-        "network": model.backbone.config.name,
-        "network_ms": _milliseconds(model),
+        "network": config.name,
+        "network_ms": round(float(np.median(times)), 2),
     }
 
 
@@ -81,15 +84,3 @@ def describe_facts(facts: dict[str, Any]) -> list[str]:
         f"size: {sum(facts['bytes'].values()) / 1e6:.1f} MB; network {facts['network']}: "
         f"{facts['network_ms']:.1f} ms per image here",
     ]
-
-
-def _milliseconds(model: PoseModel) -> float:
-    """Median time of the network for one image."""
-    config = model.backbone.config
-    image = np.random.default_rng(0).integers(0, 256, (1, config.height, config.width, 3), dtype=np.uint8)
-    times = []
-    for _ in range(_TIMED):
-        started = time.perf_counter()
-        model.backbone.maps(image)
-        times.append(1e3 * (time.perf_counter() - started))
-    return round(float(np.median(times)), 2)

@@ -14,7 +14,7 @@ from typer.main import get_command
 
 from conformodal.core.extras import require_extra
 
-from .failures import report_errors
+from .console import report_errors
 
 # By command, which is also the name of its module: the first line of its help.
 COMMANDS = {
@@ -25,7 +25,6 @@ COMMANDS = {
     "run": "Compute regions and the trajectory of sources with a saved model, frame by frame. Ctrl-C stops it and "
     "keeps the results.",
     "evaluate": "Compare results with true poses, interpolated by time. Writes OUT/evaluation/metrics.json.",
-    "view": "Open the page of results.",
     "info": "Print a saved model's training data, guarantee, size and network speed.",
     "data": "Check or convert a data set.",
     "table": "Learn columns of a CSV file from the others; print regions of unseen rows and their coverage.",
@@ -43,7 +42,7 @@ class _LazyCommand(TyperCommand):
     def loaded(self) -> Any:
         """The command itself."""
         assert self.name is not None
-        with report_errors(), require_extra(_EXTRAS.get(self.name, "run"), f"conformodal {self.name}"):
+        with require_extra(_EXTRAS.get(self.name, "run"), f"conformodal {self.name}"):
             module = import_module(f"{__package__}.{self.name}")
         single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
         if not hasattr(module, "app"):
@@ -58,6 +57,11 @@ class _LazyCommand(TyperCommand):
 
 
 class _Commands(TyperGroup):
+    def invoke(self, ctx: Any) -> Any:
+        """Parse, load and run a command; the one place where an error becomes a line and an exit code."""
+        with report_errors():
+            return super().invoke(ctx)
+
     def list_commands(self, ctx: Any) -> list[str]:
         """All names, in the order of a first use."""
         return list(COMMANDS)

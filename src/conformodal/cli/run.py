@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -18,22 +17,29 @@ from conformodal.io.streams.bag import BagStream
 from conformodal.io.streams.frames import FrameStream
 from conformodal.io.streams.prefetch import Pace
 from conformodal.io.streams.stored import RecordingStream
-from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.results import lock_output
 from conformodal.pipeline.store import load_model, model_digest
 
-from .answering import INTERRUPTED, FrameSink, Part, answer_stream, metrics_of, part_frames, write_answers
-from .console import print_where, progress_bars, report_line
-from .failures import BROKE_OFF, OptionError, report_errors, stop_code, stopping
-from .outcome import describe_outcome, report_outcome
+from .answering import (
+    INTERRUPTED,
+    FrameSink,
+    Part,
+    answer_stream,
+    describe_outcome,
+    metrics_of,
+    part_frames,
+    report_outcome,
+    write_answers,
+)
+from .console import BROKE_OFF, OptionError, print_where, progress_bars, report_line, stop_code, stopping
 from .sources import DataLayout, FollowOutside, SavedModel, open_source
 
 RERUN_SUFFIX, ROS_SUFFIX = ".rrd", ".mcap"
 _SHOW = "Show and record"
 
 
-@report_errors()
 def run(
     model: SavedModel,
     sources: Annotated[
@@ -93,9 +99,11 @@ def run(
                 raise OptionError(f"--novelty-level: the model has no test for unknown places, got {novelty_level:g}")
             loaded.set_novelty_level(novelty_level)
         whole = part is Part.ALL
-        open_one = partial(open_source, topic=topic, as_trained=not whole, follow_outside=follow_outside)
-        # sources without calibration have no parts
-        opened = [open_one(source, layout, camera=loaded.camera if whole else None) for source in sources]
+        lens = loaded.camera if whole else None  # sources without calibration have no parts
+        opened = [
+            open_source(one, layout, topic=topic, as_trained=not whole, follow_outside=follow_outside, camera=lens)
+            for one in sources
+        ]
         stream = join_streams([_as_trained(loaded, source, convert=whole) for source in opened])
         if isinstance(stream, RecordingStream):
             stream = RecordingStream(stream.sequence, part_frames(loaded, stream.sequence, part))
@@ -150,19 +158,20 @@ def _as_trained(model: PoseModel, stream: FrameStream, *, convert: bool) -> Fram
 @contextmanager
 def frame_sinks(name: str, alpha: object, *, view: bool, save: Path | None, images: bool) -> Iterator[list[FrameSink]]:
     """The views and recordings that the options of a run ask for; all are closed at the end."""
-    is_ros = save is not None and save.suffix.lower() == ROS_SUFFIX
+    ros = save if save is not None and save.suffix.lower() == ROS_SUFFIX else None
+    rerun = None if ros else save
     sinks: list[FrameSink] = []
     with ExitStack() as stack:
-        if save is not None and is_ros:
+        if ros is not None:
             from conformodal.ros.bag import BagWriter  # noqa: PLC0415 - an extra
 
-            writer = BagWriter(save, images=images)
+            writer = BagWriter(ros, images=images)
             stack.callback(writer.close)
-            sinks.append(writer)
-        if view or (save is not None and not is_ros):
+            sinks.append(writer.log)
+        if view or rerun is not None:
             from conformodal.report.live import LiveView  # noqa: PLC0415 - an extra
 
-            live = LiveView(name, alpha, spawn=view, save=None if is_ros else save)
+            live = LiveView(name, alpha, spawn=view, save=rerun)
             stack.callback(live.close)
-            sinks.append(live)
+            sinks.append(live.log)
         yield sinks

@@ -25,8 +25,7 @@ from conformodal.io.streams.frames import FrameStream
 from conformodal.io.streams.opening import open_stream
 from conformodal.io.streams.stored import RecordingStream
 
-from .console import report_line, warning_lines
-from .failures import OptionError
+from .console import OptionError, report_line, warning_lines
 
 _MOST_NOTES = 5
 

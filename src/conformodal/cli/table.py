@@ -18,7 +18,6 @@ from conformodal.core.extras import require_extra
 from conformodal.core.words import counted, listed
 
 from .console import report_line, warning_lines
-from .failures import report_errors
 from .table_csv import CsvFormat, TableError, read_table
 
 _FEWEST_ROWS = 50  # a fifth is tested, and a fifth of the rest calibrates
@@ -28,7 +27,6 @@ _PICTURES = (".svg", ".png", ".pdf")
 _READING = "How the file is written"
 
 
-@report_errors()
 def table(
     file: Annotated[Path, typer.Argument(help="CSV file with a line of column names.")],
     target: Annotated[list[str], typer.Option(help="Column to predict; repeat it for several, covered together.")],

@@ -1,23 +1,32 @@
-"""``conformodal train``: the options of training."""
+"""``conformodal train``: the options of training, and training itself, as ``demo`` does it too."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import time
+from dataclasses import asdict, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from conformodal.core.extras import require_extra
+from conformodal.core.progress import StageProgress
+from conformodal.core.words import counted, finite_or_none
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import NETWORKS, TrainingConfig
-from conformodal.io import Layout, SplitKind
+from conformodal.io import Layout, Recording, SplitKind, frames_to_known
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
-from conformodal.pipeline.results import lock_output
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.provenance import provenance
+from conformodal.pipeline.results import lock_output, write_metrics
+from conformodal.pipeline.store import model_digest, save_model
+from conformodal.pipeline.train import train_model
+from conformodal.quality.advice import advice, numbers, quality_record, verdict
+from conformodal.quality.examining import examine, guarantees
 
-from .console import print_where, progress_bars
-from .failures import OptionError, report_errors
+from .console import OptionError, print_where, progress_bars, report_line
 from .sources import (
     DATA_PANEL,
     AllData,
@@ -29,14 +38,13 @@ from .sources import (
     open_sequences,
     was_given,
 )
-from .training import train_on
 
 _data, _model, _calibration = (
     partial(typer.Option, rich_help_panel=panel) for panel in (DATA_PANEL, "Model", "Calibration")
 )
+_FOCAL_OFF = 0.02  # a focal length that differs by a larger share is reported
 
 
-@report_errors()
 def train(
     context: typer.Context,
     data: AllData,
@@ -63,7 +71,6 @@ def train(
     calibration: Annotated[
         float, _data("--calibration-share", help="Share of all frames (or recordings) held out to calibrate.")
     ] = ModelConfig.calibration,
-    used: Annotated[float | None, _data(help="Share of all frames for training and calibration together.")] = None,
     focal: Focal = None,
     follow_outside: FollowOutside = False,
     sources: Annotated[str, _model(help="Pose sources of the belief, in order, separated by commas.")] = (
@@ -119,23 +126,10 @@ def train(
         if was_given(context, "split") and split is not SplitKind.GIVEN:
             raise OptionError(f"--test {test} is a data set, which needs --split given, got --split {split}") from None
         split = SplitKind.GIVEN
-    settings: dict[str, Any] = {
-        "split": split,
-        "n_bins": n_bins,
-        "sigma_bins": sigma_bins,
-        "alpha": alpha,
-        "score": score,
-        "joint": joint,
-        "test": share,
-        "calibration": calibration,
-        "calibrate_on": calibrate_on,
-        "novelty_level": novelty_level,
-        "used": used,
-        "network": network,
-        "sources": tuple(name.strip() for name in sources.split(",")),
-        "seed": seed,
-        "training": replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed),
-    }
+    names = {field.name for field in fields(ModelConfig)}
+    settings: dict[str, Any] = {name: value for name, value in context.params.items() if name in names - {"method"}}
+    settings |= {"split": split, "test": share, "sources": tuple(name.strip() for name in sources.split(","))}
+    settings["training"] = replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed)
     if method is Method.PAPER:  # options that were left alone are the paper's then
         given, default = {name for name in settings if was_given(context, name)}, ModelConfig()
         given |= {name for name, value in settings.items() if value != getattr(default, name)}
@@ -153,3 +147,101 @@ def train(
         with progress_bars(out) as report:
             train_on(sequence, config, out, features=features, report=report)
     print_where(out)
+
+
+def train_on(
+    sequence: Recording, config: ModelConfig, out: Path, *, features: FeatureCache, report: StageProgress
+) -> PoseModel:
+    """Train, calibrate and save; prints what a user should know of the model."""
+    started = time.perf_counter()
+    model = train_model(sequence, config, cache=features, progress=report)
+    save_model(model, out)  # at the end: until then, a model that was there before is whole
+    split = _split_record(model, sequence)
+    quality = None
+    if config.method is not Method.PAPER:  # whose system has no more to say
+        quality = examine(sequence, model, just_trained=True, cache=features)
+    metrics = {
+        "command": "train",
+        "model": model_digest(out),
+        "provenance": provenance(),
+        "configuration": model.settings,
+        "seed": config.seed,
+        "split": split,
+        "source_comparison": None if model.comparison is None else asdict(model.comparison),
+        "landmarks": None if model.landmarks is None else model.landmarks.summary,
+        "quality": None if quality is None else quality_record(quality),
+        "seconds": round(time.perf_counter() - started, 2),
+    }
+    write_metrics(out, metrics)
+    for line in [*_describe_split(sequence.name, split), *_describe_model(model)]:
+        report_line(line)
+    if split["n_test_same_picture"]:
+        report_line(
+            f"{split['n_test_same_picture']} of {counted(split['test'], 'test frame')} show the same picture as a "
+            "training or calibration frame: their errors do not tell what to expect of new images",
+            bold=True,
+        )
+    if model.comparison is not None and model.comparison.too_sure:
+        report_line(
+            "The model's sources are too sure of new stretches, and the coverage guarantee does not reach them: "
+            "calibrate on recordings (more of them), or on frames held out from the model (--calibration frames).",
+            bold=True,
+        )
+    for line in [one.describe() for one in guarantees(model)] if quality is None else numbers(quality):
+        report_line(line)
+    if quality is not None:
+        report_line(verdict(quality), bold=True)
+        for line in advice(quality):
+            report_line(line)
+    return model
+
+
+def _split_record(model: PoseModel, sequence: Recording) -> dict[str, Any]:
+    """The parts of the data set for ``metrics.json``, and how near test frames are to training or calibration ones."""
+    split, frames = model.split, model.known_frames
+    used = frames.take(np.concatenate((split.train, split.calibration)))
+    away = frames_to_known(split, sequence.recording)
+    return {
+        "kind": str(split.kind),
+        "seed": split.seed,
+        **{name: len(split.part(name)) for name in ("train", "calibration", "test")},
+        "median_frames_to_known": finite_or_none(float(np.median(away))),
+        "n_test_same_picture": int(used.known(frames.take(split.test)).sum()),
+    }
+
+
+def _describe_split(name: str, split: dict[str, Any]) -> list[str]:
+    lines = [
+        f"{name}: {counted(split['train'], 'frame')} for training, {split['calibration']} for calibration, "
+        f"{split['test']} held out for testing (split {split['kind']}, seed {split['seed']})"
+    ]
+    if (median := split["median_frames_to_known"]) is not None:
+        lines.append(f"test frames lie a median of {median:g} frames from the nearest training or calibration frame")
+    return lines
+
+
+def _describe_model(model: PoseModel) -> list[str]:
+    """The landmarks, what calibrates the regions, the test for unknown places, and how sources compare."""
+    lines, rule, landmarks = [], model.calibration, model.landmarks
+    if landmarks is not None:
+        n_landmarks, n_frames = (int(landmarks.summary[name]) for name in ("n_landmarks", "n_keyframes"))
+        lines.append(f"{counted(n_landmarks, 'landmark')} of {counted(n_frames, 'frame')}")
+        implied, given = landmarks.map.camera.fx, model.camera.fx
+        if abs(implied / given - 1) > _FOCAL_OFF:
+            lines[-1] += f"; the poses imply a focal length of {implied:.0f} px where {given:.0f} px is given: "
+            lines[-1] += "check the camera"
+    elif "landmarks" in model.settings["sources"]:
+        lines.append("no landmarks: too few corners of the training frames could be triangulated; other sources answer")
+    by = f"{counted(model.n_calibration, 'frame')} of the calibration part"
+    if rule.units_ is not None:
+        by = f"{rule.n_units} stretches or recordings, each answered by sources that did not see it"
+    lines.append(f"regions are calibrated on {by} (joint {rule.joint})")
+    if model.novelty is None:
+        why = "the paper has no such test" if model.method is Method.PAPER else "the data are one piece"
+        lines.append(f"images are not tested for unknown places: {why}")
+    else:
+        lines.append(
+            f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}, or "
+            f"{model.recognised_level:.3g} if a place is recognised"
+        )
+    return lines if model.comparison is None else [*lines, model.comparison.describe()]

@@ -32,16 +32,15 @@ from conformodal.localizer.regions import EvidenceType, PlaceNovelty, RegionRule
 from conformodal.localizer.sources.registry import SourceData
 from conformodal.tracking.motions import frame_features
 
-from .config import ModelConfig
-from .errors import OdometryError
-from .folds import Folds
+from .config import ModelConfig, OdometryError
 from .model import HINDSIGHT, LAGGED, ONLINE, PATHS, RELIABLE, SourceComparison, path_rule
+from .training_data import Folds
 
+_MOST_COMPARED = 120  # each is answered twice
 # The probability from which a pose counts as reliable is raised, at most to this, until held-out frames with a wrong
 # place that is so probable have at most this share
 MOST_RELIABLE, _SURE_AND_WRONG = 0.99, 0.01
 _LAGGED_FRAMES = 200  # held-out frames that calibrate regions at the lag, about: each takes as many steps as the lag
-_MOST_COMPARED = 120  # each is answered twice
 _MOST_DISTURBED, _DISTURBED_SEED = 200, 0  # calibration frames, and the seed of kinds and strengths
 
 

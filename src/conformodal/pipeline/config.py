@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Self
 
-from conformodal.conformal import QuantileBins
+from conformodal.conformal import ConformodalError, QuantileBins
 from conformodal.conformal.calibrators.base import Joint
 from conformodal.conformal.checks import as_alpha, as_choice
 from conformodal.conformal.scores import resolve_score
@@ -15,7 +15,9 @@ from conformodal.features.settings import TrainingConfig, check_network
 from conformodal.io import SplitKind
 from conformodal.localizer.sources.registry import find_source
 
-from .errors import OdometryError
+
+class OdometryError(ConformodalError):
+    """Frames, parts or settings that a model cannot work with."""
 
 
 class Calibration(StrEnum):
@@ -41,62 +43,28 @@ class Method(StrEnum):
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """Settings of a pose model.
+    """Settings of a pose model; one that cannot be used is refused before any frame is read."""
 
-    Attributes
-    ----------
-    method
-        This project's system, or the paper's: see :meth:`paper`.
-    split
-        ``interleaved``, ``blocks``, ``recordings`` or ``given``.
-    n_bins
-        Bins per target (K).
-    margin
-        Share of the range by which bins reach beyond the training poses.
-    sigma_bins
-        Width of the order-aware labels, in bins; 0 for the paper's one-hot labels.
-    alpha, score, joint
-        Of :class:`~conformodal.conformal.SplitConformal`.
-    test, calibration, used
-        Shares of all frames or recordings, see :func:`~conformodal.io.make_split`.
-    calibrate_on
-        See :class:`~conformodal.pipeline.config.Calibration`.
-    novelty_level
-        Images whose p-value of showing a known place is at most this get an unbounded region; None for 0.015 where
-        single frames are held out, and 0.1 where stretches are.
-    sources
-        Names of pose sources, in the order in which they are fused, see
-        :class:`~conformodal.localizer.sources.registry.PoseSource`.
-    network
-        Of :data:`~conformodal.features.settings.NETWORKS`, or ``hf:NAME``.
-    seed
-        Of the split and of training.
-    training
-        Of the head.
-
-    Raises
-    ------
-    ConformodalError, LocalizationError, OdometryError, VisionError
-        If a setting cannot be used; before any frame is read.
-    """
-
-    method: Method = Method.CONFORMODAL
+    method: Method = Method.CONFORMODAL  # this project's system, or the paper's: see :meth:`paper`
     split: SplitKind = SplitKind.INTERLEAVED
-    n_bins: int = 50
-    margin: float = 0.02
-    sigma_bins: float = 0.7
-    alpha: float = 0.1
+    n_bins: int = 50  # per target (K)
+    margin: float = 0.02  # share of the range by which bins reach beyond the training poses
+    sigma_bins: float = 0.7  # width of the order-aware labels, in bins; 0 for the paper's one-hot labels
+    alpha: float = 0.1  # as the next two, of :class:`~conformodal.conformal.SplitConformal`
     score: str = "hpd"
     joint: str = "max"
-    test: float = 0.2
+    test: float = 0.2  # as the next two, shares of all frames or recordings, see :func:`~conformodal.io.make_split`
     calibration: float = 0.16
     used: float | None = None
     calibrate_on: Calibration = Calibration.AUTO
+    # images whose p-value of showing a known place is at most this get an unbounded region; None for 0.015 where single
+    # frames are held out, and 0.1 where stretches are
     novelty_level: float | None = None
+    # in the order in which they are fused, see :class:`~conformodal.localizer.sources.registry.PoseSource`
     sources: tuple[str, ...] = ("head", "neighbours", "landmarks")
-    network: str = "efficientnet_lite0"
-    seed: int = 0
-    training: TrainingConfig = field(default_factory=TrainingConfig)
+    network: str = "efficientnet_lite0"  # of :data:`~conformodal.features.settings.NETWORKS`, or ``hf:NAME``
+    seed: int = 0  # of the split and of training
+    training: TrainingConfig = field(default_factory=TrainingConfig)  # of the head
 
     def __post_init__(self) -> None:
         for name, choices in _CHOICES.items():
@@ -119,21 +87,21 @@ class ModelConfig:
 
     @classmethod
     def paper(cls, **settings: Any) -> Self:
-        """The paper's system (Parente et al. 2024, sections 2 and 3).
+        """The paper's system (Parente et al. 2024, sections 2 and 3); `settings` are the other attributes.
 
         Features of the whole network, averaged over the image; one softmax per dimension, with one-hot labels; quantile
         bins without margin; the score ``lac``; each dimension calibrated at alpha by itself, on random frames of the
         training data, whatever the split; no other pose source, search or smoother. What the paper does not specify is
         as in this project: image size, a frozen network, optimiser, epochs, and a hidden layer before the softmaxes.
-        `settings` are the other attributes.
-
-        Raises
-        ------
-        OdometryError
-            If a setting is one that the paper's system does not have.
         """
         training = replace(settings.pop("training", TrainingConfig()), components=None)
         return cls(**{**_PAPER, "training": training, **settings, "method": Method.PAPER})
+
+    def record(self, data: str, n_frames: int, calibrate_on: str) -> dict[str, Any]:
+        """As a model stores them, without alpha and the novelty level, which can change later."""
+        names = {"method": str(self.method), "split": str(self.split), "calibrate_on": calibrate_on}
+        fixed = {k: v for k, v in asdict(self).items() if k not in ("alpha", "novelty_level")}
+        return {**fixed, **names, "data": data, "n_frames": n_frames}
 
 
 _CHOICES: dict[str, type[StrEnum]] = {
@@ -151,10 +119,3 @@ _PAPER: dict[str, Any] = {
     "novelty_level": 0.0,
     "sources": ("head",),
 }
-
-
-def record_of(config: ModelConfig, data: str, n_frames: int, calibrate_on: str) -> dict[str, Any]:
-    """The settings of a model as stored in its record, without alpha and the novelty level, which can change later."""
-    names = {"method": str(config.method), "split": str(config.split), "calibrate_on": calibrate_on}
-    fixed = {k: v for k, v in asdict(config).items() if k not in ("alpha", "novelty_level")}
-    return {**fixed, **names, "data": data, "n_frames": n_frames}

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
-from conformodal.core.ranges import as_member
 from conformodal.geometry import RelativeMotion, Trajectory
 from conformodal.localizer.candidates import Candidates, mixture_covariance
 from conformodal.localizer.evidence import PoseMeasurement
@@ -20,56 +17,54 @@ from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.tracking.submaps import build_submaps
 from conformodal.tracking.tracker import Corners
 
-from .errors import OdometryError
 from .model import Localization, PoseModel
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The estimate of one frame of a stream.
+    """The estimate of one frame of a stream; what rests on an image is None where the frame has none.
 
     Attributes
     ----------
     timestamp_s
         Seconds.
     pose
-        The mean of the most probable place given all frames so far, as a trajectory of one, or None without an image. A
-        point estimate: the guarantee is the region's.
+        The mean of the most probable place given all frames so far, as a trajectory of one. A point estimate: the
+        guarantee is the region's.
     region
-        Calibrated region of this frame alone (length 1), or None without an image. Where landmarks were looked for, it
-        rests on them too, and is smaller.
-    path_region
-        Calibrated region from all frames so far (length 1); None without an image, and where the model has none.
+        Calibrated region of this frame alone (length 1). Where landmarks were looked for, it rests on them too, and is
+        smaller.
     candidates
-        Hypotheses of this image alone, or None without an image.
+        Hypotheses of this image alone.
     relative_motion
         Motion since the last usable frame, or None.
+    reliable, problem
+        False where image or motion could not be used, the image shows no place that is known, or other places than the
+        chosen one are probable; and why.
+    localization
+        Belief and region of this frame alone.
     tracks
         Corners of the last answered frame, or of a later one where corners were renewed, and the same ones here, (m, 2)
-        pixels each, or None.
+        pixels each.
     corners
-        All corners here, or None without an image.
+        All corners here.
     estimates
         Absolute pose estimates from landmarks, one per retrieval cluster; empty where there are none.
     known_p
-        Conformal p-value of "this image shows a place that is known"; None without an image, and where images are not
-        tested. The region is unbounded where it is small.
+        Conformal p-value of "this image shows a place that is known"; None where images are not tested. The region is
+        unbounded where it is small.
     evidence
-        What the region rests on; None without an image.
+        What the region rests on.
     position_spread_m, orientation_spread_rad
-        Standard deviations of the most probable place; None without an image. They grow while motion alone tells where
-        the camera is.
+        Standard deviations of the most probable place. They grow while motion alone tells where the camera is.
     posterior
-        Hypotheses given all frames so far, and the probability that none is right; or None without an image.
+        Hypotheses given all frames so far, and the probability that none is right.
     places
-        The places that they make up, most probable first; the first gives the pose. Empty without an image.
+        The places that they make up, most probable first; the first gives the pose.
+    path_region
+        Calibrated region from all frames so far (length 1); None where the model has none.
     revise
         Called for :attr:`revised`.
-    localization
-        Belief and region of this frame alone; None without an image.
-    reliable
-        False where image or motion could not be used, the image shows no place that is known, or other places than the
-        chosen one are probable; `problem` says why.
     """
 
     timestamp_s: float
@@ -92,10 +87,6 @@ class Estimate:
     path_region: PoseRegions | None = None
     revise: Callable[[], Trajectory] | None = None
 
-    def __post_init__(self) -> None:
-        if self.evidence is not None:
-            object.__setattr__(self, "evidence", as_member(self.evidence, EvidenceType, "evidence", OdometryError))
-
     @property
     def covariance(self) -> FloatArray | None:
         """(6, 6) of the posterior about :attr:`pose`, all places together; None without an image.
@@ -117,66 +108,18 @@ class Estimate:
         return self.pose if self.revise is None else self.revise()
 
 
-class FrameEstimator(Protocol):
-    """What answers a stream frame by frame.
-
-    Attributes
-    ----------
-    model
-        Trained and calibrated.
-    answer
-        The method whose trajectory is the answer.
-    whole_paths
-        Whether better answers than those of a stream follow, from whole paths.
-    """
-
-    model: PoseModel
-    answer: str
-    whole_paths: bool
-
-    def reset(self) -> None:
-        """Forget the stream so far."""
-        ...
-
-    def step(self, image: npt.ArrayLike | None, timestamp_s: float) -> Estimate:
-        """The estimate of the next frame."""
-        ...
-
-    def track_only(self, image: npt.ArrayLike | None, timestamp_s: float) -> None:
-        """Follow corners through a frame that wants no estimate."""
-        ...
-
-
 @dataclass(eq=False)
 class OdometryRun:
-    """Estimates of the frames of a recording.
-
-    Attributes
-    ----------
-    model
-        That answered.
-    frames, recording
-        (m,) indices of the answered frames, and number of the recording of each.
-    estimates
-        As the stream gave them, with an image each.
-    trajectories
-        By method, see :data:`~conformodal.pipeline.model.METHODS`.
-    answer
-        Which of them is the answer.
-    unreadable
-        Frames without an image that can be used, and why.
-    path_regions
-        Calibrated regions from posteriors, by :data:`~conformodal.pipeline.model.PATHS`; empty where the model has
-        none.
-    """
+    """Estimates of the frames of a recording, as the stream gave them."""
 
     model: PoseModel
-    frames: IntArray
-    recording: IntArray
-    estimates: list[Estimate]
-    trajectories: dict[str, Trajectory]
-    answer: str
-    unreadable: dict[int, str] = field(default_factory=dict)
+    frames: IntArray  # (m,) indices of the answered frames
+    recording: IntArray  # (m,) number of the recording of each
+    estimates: list[Estimate]  # with an image each
+    trajectories: dict[str, Trajectory]  # by method, see :data:`~conformodal.pipeline.model.METHODS`
+    answer: str  # which of them is the answer
+    unreadable: dict[int, str] = field(default_factory=dict)  # frames without an image that can be used, and why
+    # from posteriors, by :data:`~conformodal.pipeline.model.PATHS`; empty where the model has none
     path_regions: dict[str, PoseRegions] = field(default_factory=dict)
 
     @cached_property
@@ -188,11 +131,6 @@ class OdometryRun:
     def timestamps_s(self) -> FloatArray:
         """(m,) seconds."""
         return np.array([estimate.timestamp_s for estimate in self.estimates])
-
-    @property
-    def candidates(self) -> list[Candidates]:
-        """Hypotheses of each image alone."""
-        return [e.candidates for e in self.estimates if e.candidates is not None]
 
     @property
     def motions(self) -> list[RelativeMotion | None]:
@@ -213,11 +151,6 @@ class OdometryRun:
     def kinds(self) -> IntArray:
         """(m,) what each region rests on, see :class:`EvidenceType`."""
         return self.localization.kinds
-
-    @property
-    def certainty(self) -> FloatArray:
-        """(m,) probability of the place that the frames up to each speak for; NaN where there are no places."""
-        return np.array([e.places[0].probability if e.places else np.nan for e in self.estimates])
 
     @property
     def reliable(self) -> BoolArray:

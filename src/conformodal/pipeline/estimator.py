@@ -9,12 +9,12 @@ from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import IntArray, UInt8Array
+from conformodal.core.arrays import Float32Array, IntArray, UInt8Array
 from conformodal.core.parallel import one_blas_thread, raise_if_cancelled
 from conformodal.core.progress import StageProgress
 from conformodal.features.local import extract_local_features
@@ -23,39 +23,27 @@ from conformodal.io import Recording
 from conformodal.io.decoding import grey_image
 from conformodal.io.streams.prefetch import prefetch
 from conformodal.io.streams.stored import RecordingStream
+from conformodal.localizer.candidates import interval_candidates, interval_runs
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import LAG, PoseFilter, Window
+from conformodal.localizer.greedy import Greedy
 from conformodal.localizer.observations import MotionPrior, Posterior, choose_places, find_places
-from conformodal.localizer.regions import EvidenceType, PoseRegions
-from conformodal.tracking.tracker import FrontEnd, MotionFrontEnd, affine_flow
+from conformodal.localizer.regions import EvidenceType, PoseRegions, Support, pose_regions
+from conformodal.tracking.tracker import EssentialFrontEnd, FrontEnd, MotionFrontEnd, affine_flow
 
-from .config import Method
-from .errors import OdometryError
+from .config import Method, OdometryError
 from .estimates import Estimate, OdometryRun
-from .model import HINDSIGHT, LAGGED, METHODS, ONLINE, Localization, PoseModel
+from .model import HINDSIGHT, LAGGED, METHODS, ONLINE, PAPERS_METHOD, Localization, PoseModel
 from .store import load_model
 from .stream import StreamRunner, as_trajectory
 
 
 class Odometry(ABC):
-    """A trained model on a stream or on a recording: :class:`VisualOdometry`, or the paper's :class:`PaperOdometry`.
-
-    Attributes
-    ----------
-    model
-        Trained and calibrated.
-    answer
-        The method whose trajectory is the answer.
-    whole_paths
-        Whether better answers than those of a stream follow, from whole paths.
-    lag
-        Frames of a stream whose answer may still change.
-    """
+    """A trained model on a stream or on a recording: :class:`VisualOdometry`, or the paper's :class:`PaperOdometry`."""
 
     model: PoseModel
-    answer: str
-    whole_paths: bool
-    lag: int
+    answer: str  # the method whose trajectory is the answer
+    whole_paths: bool  # whether better answers than those of a stream follow, from whole paths
     _front_end: FrontEnd
     _last_s: float | None  # of the last frame, usable or not
     _usable_s: float | None  # of the last usable one
@@ -93,13 +81,7 @@ class Odometry(ABC):
         """The estimate of a frame that can be used; its time becomes the last one."""
 
     def track_only(self, image: npt.ArrayLike | None, timestamp_s: float) -> None:
-        """Show a frame of the stream that wants no answer: corners are followed through it, if it is an image.
-
-        Raises
-        ------
-        OdometryError
-            As in :meth:`step`.
-        """
+        """Show a frame of the stream that wants no answer: corners are followed through it, if it is an image."""
         timestamp_s = _as_time(timestamp_s, self._last_s)
         usable = _as_image(image, self.model.camera)
         if not isinstance(usable, str):
@@ -114,17 +96,10 @@ class Odometry(ABC):
     def process(
         self, sequence: Recording, frames: npt.ArrayLike | None = None, *, progress: StageProgress | None = None
     ) -> OdometryRun:
-        """Answer a recording as a stream that ends, apart from the stream of this object.
+        """Answer a recording of the model's camera as a stream that ends, apart from the stream of this object.
 
-        Parameters
-        ----------
-        sequence
-            Frames in order of time, of the model's camera.
-        frames
-            Frames to answer, increasing; all by default. The tracker also follows corners through the frames between
-            them, as a camera would deliver them.
-        progress
-            Called with stage, frames done and frames in all.
+        `frames` are those to answer, increasing; all by default. The tracker also follows corners through the frames
+        between them, as a camera would deliver them. `progress` is called with stage, frames done and frames in all.
 
         Raises
         ------
@@ -134,7 +109,7 @@ class Odometry(ABC):
         self.model.check_camera(sequence.camera)
         wanted = np.arange(len(sequence)) if frames is None else _as_frames(frames, len(sequence))
         stream, unreadable = RecordingStream(sequence, wanted), dict[int, str]()
-        answers: list[tuple[int, Estimate]] = []
+        answers: dict[int, Estimate] = {}
         with StreamRunner(self._fresh(), keep_regions=True) as runner, closing(prefetch(stream)) as coming:
             for done, frame in enumerate(coming, start=1):
                 raise_if_cancelled()
@@ -142,13 +117,13 @@ class Odometry(ABC):
                 if estimate is not None and estimate.region is None:
                     unreadable[frame.index] = frame.problem or estimate.problem
                 elif estimate is not None:
-                    answers.append((frame.index, estimate))
+                    answers[frame.index] = estimate
                 if progress is not None:
                     progress("frames", done, stream.n_frames)
             runner.finish()
         if not answers:
             raise OdometryError(f"{sequence.name}: none of {wanted.size} frames can be read: {unreadable}")
-        answered, estimates = np.array([i for i, _ in answers]), [estimate for _, estimate in answers]
+        answered, estimates = np.array(list(answers)), list(answers.values())
         online = [e.path_region for e in estimates if e.path_region is not None]
         regions = {ONLINE: online, HINDSIGHT: runner.hindsight_regions}
         return OdometryRun(
@@ -170,23 +145,12 @@ class Odometry(ABC):
 class VisualOdometry(Odometry):
     """Poses of one camera, frame by frame (:meth:`step`) or for a whole recording (:meth:`run`).
 
-    ``examples/stream.py`` answers a camera or a video frame by frame, ``examples/images.py`` a whole data set.
-
-    Parameters
-    ----------
-    model
-        Trained and calibrated.
-    lag
-        Frames of a stream that :attr:`Estimate.revised` and :meth:`lagged` go back. :meth:`run` uses all.
-
-    Raises
-    ------
-    OdometryError
-        If the model is the paper's, which :class:`PaperOdometry` runs.
+    ``examples/stream.py`` answers a camera or a video frame by frame, ``examples/images.py`` a whole data set. `lag`
+    counts the frames of a stream that :attr:`Estimate.revised` and :meth:`lagged` go back; :meth:`run` uses all.
     """
 
     answer = METHODS[0]
-    whole_paths = True  # better answers than those of a stream follow, from whole paths
+    whole_paths = True
 
     def __init__(self, model: PoseModel, lag: int = LAG) -> None:
         if model.method is Method.PAPER:
@@ -198,14 +162,8 @@ class VisualOdometry(Odometry):
         self.reset()
 
     @classmethod
-    def load(cls, folder: Path | str) -> VisualOdometry:
-        """Load a saved model.
-
-        Raises
-        ------
-        ModelFileError
-            If the model is missing, damaged or altered.
-        """
+    def load(cls, folder: Path | str) -> Self:
+        """Load a saved model; a ModelFileError says if it is missing, damaged or altered."""
         return cls(load_model(folder))
 
     def reset(self) -> None:
@@ -295,6 +253,66 @@ def _revised(window: Window, prior: MotionPrior) -> Trajectory:
     return as_trajectory(path)
 
 
+class PaperOdometry(Odometry):
+    """The paper's system, as it stands: a network with softmaxes, their calibration, and greedy reasoning.
+
+    Its model was trained with :meth:`ModelConfig.paper`; its estimates have the form of those of
+    :class:`VisualOdometry`.
+    """
+
+    answer = PAPERS_METHOD
+    whole_paths = False  # what a stream is told is final
+
+    def __init__(self, model: PoseModel) -> None:
+        if model.method is not Method.PAPER:
+            raise OdometryError("the model was not trained with the paper's method; VisualOdometry runs it")
+        self.model = model
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the stream so far."""
+        self._front_end = EssentialFrontEnd(self.model.camera)
+        self._path = Greedy()
+        self._last_s = self._usable_s = None
+
+    def _fresh(self) -> PaperOdometry:
+        return PaperOdometry(self.model)
+
+    def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
+        localization = self._localize(self.model.backbone.features_of(image))
+        proba, region = localization.beliefs.proba, localization.regions
+        motion = self._front_end.measure(image)
+        path = self._path.push(interval_runs(proba, region)[0], motion, timestamp_s)
+        reliable = motion is None or motion.reliable
+        return Estimate(
+            timestamp_s=timestamp_s,
+            pose=as_trajectory(path),
+            region=region,
+            candidates=interval_candidates(proba, region)[0],
+            relative_motion=motion,
+            reliable=reliable,
+            problem="" if reliable or motion is None else str(motion.status),
+            localization=localization,
+            tracks=self._front_end.tracks,
+            corners=self._front_end.corners,
+            evidence=EvidenceType.GLOBAL,
+            position_spread_m=float(np.linalg.norm(path.position_spreads[0])),
+            orientation_spread_rad=float(path.orientation_spreads_rad[0]),
+        )
+
+    def _localize(self, features: Float32Array) -> Localization:
+        """The region of an image as the paper has it: sets of bins, whatever the image."""
+        beliefs, rule = self.model.localizer.beliefs(FrameEvidence(features)), self.model.calibration
+        supports = [Support.of(m.candidates, rule.bins, self.model.sign_reference) for m in beliefs.mixtures]
+        regions = pose_regions(rule, beliefs.proba, supports, rule.thresholds_)
+        return Localization(beliefs, regions, np.array([np.nan]), np.array([EvidenceType.GLOBAL], dtype=np.int64))
+
+
+def odometry_of(model: PoseModel) -> Odometry:
+    """The system that runs a model, by the model's method."""
+    return PaperOdometry(model) if model.method is Method.PAPER else VisualOdometry(model)
+
+
 def _as_image(image: Any, camera: PinholeCamera) -> UInt8Array | str:
     """An image (height, width, 3) in the camera's size, RGB, 8 bits, contiguous; or, as text, why it is not one.
 
@@ -329,11 +347,9 @@ def _as_time(timestamp_s: Any, last_s: float | None) -> float:
 
 def _as_frames(frames: npt.ArrayLike, n: int) -> IntArray:
     """Increasing indices (m,) of some of n frames."""
-    given = np.asarray(frames)
-    if given.ndim != 1 or (given.size and given.dtype.kind not in "iu"):
-        raise OdometryError(f"frames must be whole numbers of shape (m,), got {given.dtype} {given.shape}")
-    wanted = given.astype(np.int64)
-    if wanted.size and (wanted[0] < 0 or wanted[-1] >= n or (np.diff(wanted) <= 0).any()):
+    wanted = np.asarray(frames)
+    whole = wanted.ndim == 1 and (not wanted.size or wanted.dtype.kind in "iu")
+    if not whole or (wanted.size and (wanted[0] < 0 or wanted[-1] >= n or (np.diff(wanted) <= 0).any())):
         few = np.array2string(wanted, threshold=8, edgeitems=3, separator=", ")
-        raise OdometryError(f"frames must increase and lie within 0 and {n - 1}, got {few}")
-    return wanted
+        raise OdometryError(f"frames must be increasing whole numbers within 0 and {n - 1}, got {few}")
+    return wanted.astype(np.int64)

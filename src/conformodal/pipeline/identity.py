@@ -30,16 +30,15 @@ class FrameIdentities(Rows):
 
     def known(self, others: FrameIdentities) -> BoolArray:
         """(m,) which of the `others` have the file of one of these frames."""
-        mine = {*_digests(self)} - {bytes(_BYTES)}
-        return np.array([digest in mine for digest in _digests(others)], dtype=np.bool_)
+        mine = {*map(bytes, self.files)} - {bytes(_BYTES)}
+        return np.array([bytes(digest) in mine for digest in others.files], dtype=np.bool_)
 
     def find(self, others: FrameIdentities) -> IntArray:
         """(n,) where the file of each of these frames is among the others; -1 where it is not. Copies go in order."""
         free: defaultdict[bytes, deque[int]] = defaultdict(deque)
-        for i, digest in enumerate(_digests(others)):
-            free[digest].append(i)
-        free.pop(bytes(_BYTES), None)
-        return np.array([free[row].popleft() if free.get(row) else -1 for row in _digests(self)], dtype=np.int64)
+        for i in np.flatnonzero(others.files.any(axis=1)).tolist():
+            free[bytes(others.files[i])].append(i)
+        return np.array([free[row].popleft() if free[row] else -1 for row in map(bytes, self.files)], dtype=np.int64)
 
 
 def identify(sequence: Recording) -> FrameIdentities:
@@ -50,6 +49,13 @@ def identify(sequence: Recording) -> FrameIdentities:
     if sequence.truth is not None:
         poses = np.column_stack((sequence.truth.positions_xyz, sequence.truth.orientations_quat_wxyz))
     return FrameIdentities(np.frombuffer(b"".join(digests), np.uint8).reshape(-1, _BYTES), poses)
+
+
+def _file_digest(path: Path) -> bytes:
+    try:
+        return hashlib.blake2b(path.read_bytes(), digest_size=_BYTES).digest()
+    except OSError:
+        return bytes(_BYTES)
 
 
 def same_poses(one: FloatArray, other: FloatArray) -> BoolArray:
@@ -71,14 +77,3 @@ def data_digest(sequence: Recording) -> str:
     for path in sequence.image_paths:  # results name frames, and a frame's noise is drawn by its name
         digest.update(path.name.encode() + b"\0")
     return digest.hexdigest()
-
-
-def _digests(frames: FrameIdentities) -> list[bytes]:
-    return [row.tobytes() for row in frames.files]
-
-
-def _file_digest(path: Path) -> bytes:
-    try:
-        return hashlib.blake2b(path.read_bytes(), digest_size=_BYTES).digest()
-    except OSError:
-        return bytes(_BYTES)

@@ -12,7 +12,7 @@ import numpy as np
 from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.checks import Alpha
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
-from conformodal.core.ranges import as_member, check_ranges
+from conformodal.core.ranges import check_ranges
 from conformodal.core.words import counted
 from conformodal.features.backbone import Backbone
 from conformodal.features.local import QualityRange
@@ -34,8 +34,7 @@ from conformodal.localizer.regions import (
 )
 from conformodal.localizer.sources.landmarks import LandmarkSource
 
-from .config import Method
-from .errors import OdometryError
+from .config import Method, OdometryError
 from .identity import FrameIdentities
 
 # What posteriors rest on: the frames up to each (online), also as many after it as the lag (lagged), or all frames of
@@ -123,54 +122,26 @@ class Localization:
 
 @dataclass(eq=False)
 class PoseModel:
-    """A trained and calibrated model; ``examples/stream.py`` runs one.
+    """A trained and calibrated model; ``examples/stream.py`` runs one."""
 
-    Attributes
-    ----------
-    backbone
-        Image to features.
-    localizer
-        Evidence to belief. Its pose sources have not seen the calibration frames; where stretches calibrate, the
-        sources of the folds have not.
-    novelty
-        Test of images against the frames that the sources know; None without such a test.
-    rules
-        Belief to region: calibrated thresholds by evidence type.
-    prior
-        Motion prior.
-    camera
-        Of the training images.
-    split
-        Training, calibration and test frames.
-    known_frames
-        Identities of all frames of the training data, in the order of `split`.
-    configuration
-        Settings except alpha and the novelty level, which can change; see :attr:`settings`.
-    radius
-        Of the chosen pose, see :class:`~conformodal.localizer.radius.PoseRadius`; None before it is calibrated.
-    comparison
-        Of the model's sources with those of the folds, where stretches calibrate.
-    path_rules
-        Posterior to region: the calibration of each of :data:`PATHS`; empty where no motion was measured.
-    reliable_p
-        A pose counts as reliable from this probability of its place.
-    quality
-        Of the images that the sources know; images beyond are disturbed. None where disturbed ones are not calibrated.
-    """
-
-    backbone: Backbone
+    backbone: Backbone  # image to features
+    # evidence to belief. Its pose sources have not seen the calibration frames; where stretches calibrate, the sources
+    # of the folds have not
     localizer: Localizer
-    novelty: PlaceNovelty | None
-    rules: RegionRules
+    novelty: PlaceNovelty | None  # test of images against the frames that the sources know
+    rules: RegionRules  # belief to region: calibrated thresholds by evidence type
     prior: MotionPrior
-    camera: PinholeCamera
-    split: Split
-    known_frames: FrameIdentities
+    camera: PinholeCamera  # of the training images
+    split: Split  # training, calibration and test frames
+    known_frames: FrameIdentities  # of all frames of the training data, in the order of `split`
+    # settings except alpha and the novelty level, which can change; see :attr:`settings`
     configuration: dict[str, Any] = field(default_factory=dict)
-    radius: PoseRadius | None = None
-    comparison: SourceComparison | None = None
+    radius: PoseRadius | None = None  # of the chosen pose; None before it is calibrated
+    comparison: SourceComparison | None = None  # where stretches calibrate
+    # posterior to region: the calibration of each of :data:`PATHS`; empty where no motion was measured
     path_rules: dict[str, SplitConformal] = field(default_factory=dict)
-    reliable_p: float = RELIABLE
+    reliable_p: float = RELIABLE  # a pose counts as reliable from this probability of its place
+    # of the images that the sources know; images beyond are disturbed. None where disturbed ones are not calibrated
     quality: QualityRange | None = None
 
     def __post_init__(self) -> None:
@@ -180,7 +151,7 @@ class PoseModel:
     @property
     def method(self) -> Method:
         """Whether the model is this project's system or the paper's."""
-        return as_member(self.configuration.get("method", Method.CONFORMODAL), Method, "method", OdometryError)
+        return Method(self.configuration.get("method", Method.CONFORMODAL))
 
     @property
     def frames_are_exchangeable(self) -> bool:
@@ -222,7 +193,7 @@ class PoseModel:
     @property
     def n_calibration(self) -> int:
         """Number of calibration frames."""
-        return int(self.calibration.scores_.shape[0])
+        return len(self.calibration.scores_)
 
     @property
     def looks_at_local_features(self) -> bool:
@@ -235,13 +206,7 @@ class PoseModel:
         return self.localizer.find(LandmarkSource)
 
     def localize(self, evidence: FrameEvidence) -> Localization:
-        """Beliefs and calibrated regions of n images.
-
-        Raises
-        ------
-        OdometryError
-            If the model looks at local features, and the evidence has none.
-        """
+        """Beliefs and calibrated regions of n images."""
         if not self.looks_at_local_features:  # beliefs with local features are not calibrated then
             evidence = FrameEvidence(evidence.features)
         elif not evidence.local_features:
@@ -280,9 +245,7 @@ class PoseModel:
     def path_regions(self, beliefs: Beliefs, posteriors: Sequence[Posterior], path: str) -> PoseRegions | None:
         """Regions of n images from posteriors, unbounded where these are lost, or most probably beyond the cells.
 
-        `path`, one of :data:`PATHS`, says which frames the posteriors rest on.
-
-        None where these are not calibrated.
+        `path`, one of :data:`PATHS`, says which frames the posteriors rest on; None where these are not calibrated.
         """
         rule = self.path_rules.get(path)
         if rule is None:
@@ -294,43 +257,20 @@ class PoseModel:
         return self._level_sets(rule, after, supports, thresholds)
 
     def recalibrate(self, alpha: Alpha) -> None:
-        """Change the miscoverage rate, from the stored calibration scores.
-
-        Raises
-        ------
-        ConformodalError
-            If `alpha` is outside (0, 1).
-        """
+        """Change the miscoverage rate, from the stored calibration scores."""
         self.rules = self.rules.at(alpha)
         self.path_rules = {path: rule.at(alpha) for path, rule in self.path_rules.items()}
 
     def set_novelty_level(self, level: float) -> None:
-        """Flag images whose p-value is at most `level` as unknown; at 0, none.
-
-        Raises
-        ------
-        OdometryError
-            If `level` is negative, or 1 or more.
-        """
+        """Flag images whose p-value is at most `level` as unknown; at 0, none."""
         check_ranges({"novelty_level": level}, OdometryError)
         self.rules = replace(self.rules, level=0.0 if self.novelty is None else self.novelty.level(level))
 
     def check_camera(self, camera: PinholeCamera, tolerance: float = 1e-3) -> None:
-        """Refuse images of another camera; intrinsics may differ by `tolerance` times the image's width.
-
-        Raises
-        ------
-        OdometryError
-            If size, intrinsics or distortion differ.
-        """
-        mine, other = self.camera, camera
-        same = (mine.width, mine.height) == (other.width, other.height)
-        values = [(mine.fx, other.fx), (mine.fy, other.fy), (mine.cx, other.cx), (mine.cy, other.cy)]
-        same = same and _lens(mine) == _lens(other)
-        if not same or any(abs(a - b) > tolerance * mine.width for a, b in values):
-            raise OdometryError(f"the model was trained with {mine}, the source has {other}")
-
-
-def _lens(camera: PinholeCamera) -> tuple[float, ...]:
-    """All five distortion coefficients, with the zeros that a file may leave out."""
-    return (*camera.distortion, *[0.0] * (5 - len(camera.distortion)))
+        """Refuse images of another camera; intrinsics may differ by `tolerance` times the image's width."""
+        cameras = self.camera, camera
+        # a file may leave out distortion coefficients that are zero
+        mine, other = ((c.width, c.height, *c.distortion, *[0.0] * (5 - len(c.distortion))) for c in cameras)
+        one, another = (np.array([c.fx, c.fy, c.cx, c.cy]) for c in cameras)
+        if mine != other or np.abs(one - another).max() > tolerance * self.camera.width:
+            raise OdometryError(f"the model was trained with {self.camera}, the source has {camera}")

@@ -44,8 +44,8 @@ def trajectory_of(values: FloatArray, timestamps_s: FloatArray) -> Trajectory:
 
 def train_plain(data: TrainingData, config: TrainingConfig) -> PlainRegressor:
     """Train on training and calibration part together, with given settings."""
-    known, (mean, scale) = known_frames(data), scaling(data)
-    return PlainRegressor(fit_values(data, (data.targets - mean) / scale, known, config), mean, scale)
+    mean, scale = scaling(data)
+    return PlainRegressor(fit_values(data, (data.targets - mean) / scale, known_frames(data), config), mean, scale)
 
 
 def known_frames(data: TrainingData) -> IntArray:
@@ -55,12 +55,11 @@ def known_frames(data: TrainingData) -> IntArray:
 
 def scaling(data: TrainingData) -> tuple[FloatArray, FloatArray]:
     """Mean and scale (7,) of the targets of all known frames."""
-    known = data.targets[known_frames(data)]
-    return known.mean(axis=0), np.maximum(known.std(axis=0), _LEAST_SCALE)
+    targets = data.targets[known_frames(data)]
+    return targets.mean(axis=0), np.maximum(targets.std(axis=0), _LEAST_SCALE)
 
 
 def fit_values(data: TrainingData, standard: FloatArray, rows: IntArray, config: TrainingConfig) -> Head:
     """Fit one output per target on the frames `rows`; `standard` are the standardised targets (n, 7) of all frames."""
-    through = data.projection(rows, config.components)
-    outputs = [1] * standard.shape[1]
+    through, outputs = data.projection(rows, config.components), [1] * standard.shape[1]
     return fit_head(data.features[rows], standard[rows], outputs, mean_squared_error, config, projection=through)

@@ -5,43 +5,25 @@ from __future__ import annotations
 import platform
 import shutil
 import subprocess
-from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-_PACKAGES = (
-    "numpy",
-    "scipy",
-    "torch",
-    "onnxruntime",
-    "opencv-python-headless",
-    "poselib",
-    "trimesh",
-    "embreex",
-)
+_PACKAGES = ("numpy", "scipy", "torch", "onnxruntime", "opencv-python-headless", "poselib", "trimesh", "embreex")
 
 
 def provenance() -> dict[str, Any]:
     """Versions of this package and of those that decide its numbers, the source revision, machine and time."""
+    installed = {name: metadata.version(name) for name in _PACKAGES if any(metadata.distributions(name=name))}
     return {
         "conformodal": metadata.version("conformodal"),
         "source_revision": source_revision(Path(__file__).resolve().parents[3]),
-        "packages": _versions(),
+        "packages": installed,  # running a model needs fewer than training one
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-
-
-def _versions() -> dict[str, str]:
-    """Of the packages that are installed: running a model needs fewer than training one."""
-    versions = {}
-    for name in _PACKAGES:
-        with suppress(metadata.PackageNotFoundError):
-            versions[name] = metadata.version(name)
-    return versions
 
 
 def source_revision(root: Path) -> str | None:
@@ -53,10 +35,10 @@ def source_revision(root: Path) -> str | None:
     if git is None or not (root / ".git").exists():
         return None
 
-    def asked(*arguments: str) -> str:
+    def answer(*arguments: str) -> str:
         command = [git, "-C", str(root), *arguments]
         return subprocess.run(command, capture_output=True, text=True, check=False, timeout=10).stdout.strip()  # noqa: S603
 
-    commit = asked("rev-parse", "--short=12", "HEAD")
-    changed = asked("diff", "--name-only", "HEAD", "--", ".", ":(exclude)benchmarks/results")
+    commit = answer("rev-parse", "--short=12", "HEAD")
+    changed = answer("diff", "--name-only", "HEAD", "--", ".", ":(exclude)benchmarks/results")
     return f"{commit}-dirty" if commit and changed else commit or None

@@ -8,19 +8,18 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TextIO
 
 import numpy as np
 
+from conformodal.conformal import ConformodalError
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing, write_whole
-from conformodal.core.ranges import as_member
 from conformodal.core.words import as_utf8, finite_or_none
-from conformodal.geometry import RelativeMotion, Trajectory
+from conformodal.geometry import Trajectory
 from conformodal.io.folders import FolderError, writing_in
 from conformodal.io.pose_files import TUM_HEADER, read_tum, tum_lines
 from conformodal.localizer.candidates import TARGET_NAMES, pose_targets
@@ -28,83 +27,52 @@ from conformodal.localizer.observations import Place
 from conformodal.localizer.regions import EvidenceType, PoseRegions
 
 from .config import Method
-from .errors import ResultsError
 from .estimates import Estimate, OdometryRun
 from .model import METHODS, PAPERS_METHOD
 
 REGIONS, METRICS, TRAJECTORY, TRUTH = "regions.jsonl", "metrics.json", "trajectory.tum", "truth.tum"
 PARQUET = "regions.parquet"
 UNFINISHED = ".part"  # follows the name of a file that a run has not finished, or was killed before it had
-_ROWS_AT_A_TIME = 2000
 _ANY_SIGN = np.array([1.0, 0.1, 0.01, 0.001])  # tells q from -q
 # The files of each command. The first tells whose a folder is that has no metrics; commands that run others come first.
 _FILES: dict[str, tuple[str, ...]] = {
     "demo": ("corridor", "model", "report.html"),
     "train": ("model.json",),
     "run": (REGIONS, TRAJECTORY, TRUTH, "report.html"),
-    "evaluate": (),
-    "data": (METRICS,),
 }
+
+
+class ResultsError(ConformodalError):
+    """A folder of results that is missing something or cannot be read; names the file."""
 
 
 # ---- records of regions
 
 
-def region_record(
-    name: str,
-    timestamp_s: float,
-    motion: RelativeMotion | None,
-    intervals: Sequence[FloatArray],
-    known_p: float | None = None,
-    kind: EvidenceType = EvidenceType.GLOBAL,
-    place_p: float | None = None,
-    *,
-    reliable: bool = True,
-    places: Sequence[Place] | None = None,
-    path_places: Sequence[Place] | None = None,
-) -> dict[str, Any]:
-    """The record of a frame, one line of ``regions.jsonl``; see :class:`~conformodal.pipeline.estimates.Estimate`.
-
-    `intervals` are (m, 2) per target, `place_p` the probability of the chosen place when the frame came, `places` and
-    `path_places` those of the image's region and of that from the frames so far; None for a region that is a product.
-    """
-    kind = as_member(kind, EvidenceType, "kind", ResultsError)
+def record_of(name: str, estimate: Estimate) -> dict[str, Any]:
+    """The record of a frame, one line of ``regions.jsonl``, from its estimate, which has a region."""
+    region, evidence, motion = estimate.region, estimate.evidence, estimate.relative_motion
+    assert region is not None
+    assert evidence is not None
     return {
-        "timestamp_s": round(float(timestamp_s), 6),
+        "timestamp_s": round(float(estimate.timestamp_s), 6),
         "frame": name,
-        "reliable": reliable and kind is not EvidenceType.UNKNOWN,
-        "place_p": None if place_p is None else float(f"{place_p:.4g}"),
-        "known_p": None if known_p is None or math.isnan(known_p) else float(f"{known_p:.4g}"),
-        "evidence": kind.name.lower(),
+        "reliable": estimate.reliable and evidence is not EvidenceType.UNKNOWN,
+        # of the chosen place, when the frame came
+        "place_p": float(f"{estimate.places[0].probability:.4g}") if estimate.places else None,
+        "known_p": None if estimate.known_p is None else float(f"{estimate.known_p:.4g}"),
+        "evidence": evidence.name.lower(),
         "motion": "first" if motion is None else str(motion.status),
         # [null, null] is the whole line; [] an empty set
-        "intervals": {target: _ends(parts) for target, parts in zip(TARGET_NAMES, intervals, strict=True)},
-        "places": None if places is None else [_place_record(place) for place in places],
-        "path_places": None if path_places is None else [_place_record(place) for place in path_places],
+        "intervals": {name: _ends(parts) for name, parts in zip(TARGET_NAMES, region.intervals(0), strict=True)},
+        "places": _place_records(region),
+        "path_places": _place_records(estimate.path_region),
     }
 
 
-def record_of(name: str, estimate: Estimate) -> dict[str, Any]:
-    """The record of a frame from its estimate, which has a region."""
-    assert estimate.region is not None
-    assert estimate.evidence is not None
-    return region_record(
-        name,
-        estimate.timestamp_s,
-        estimate.relative_motion,
-        estimate.region.intervals(0),
-        estimate.known_p,
-        estimate.evidence,
-        estimate.places[0].probability if estimate.places else None,
-        reliable=estimate.reliable,
-        places=_places_of(estimate.region),
-        path_places=_places_of(estimate.path_region),
-    )
-
-
-def _places_of(region: PoseRegions | None) -> list[Place] | None:
+def _place_records(region: PoseRegions | None) -> list[dict[str, Any]] | None:
     """The places of a frame's region (length 1); None of a region that is a product."""
-    return None if region is None or region.product else region.places(0)
+    return None if region is None or region.product else [_place_record(place) for place in region.places(0)]
 
 
 def _place_record(place: Place) -> dict[str, Any]:
@@ -168,21 +136,15 @@ def _within(interval: Sequence[float | None], value: float) -> bool:
 class ResultsWriter:
     """Writes ``regions.jsonl``, ``trajectory.tum`` (the answer), ``methods/NAME.tum`` and ``truth.tum`` as frames come.
 
-    A file has ``.part`` behind its name until the run ends; then it takes the place of an earlier run's. What a run
-    that is killed had written stays in these; nothing else of it does. `answer` is the method whose poses are the
-    answer.
-
-    Attributes
-    ----------
-    records
-        Of all regions so far.
+    A context: a file has ``.part`` behind its name until the run ends; then it takes the place of an earlier run's, and
+    what was made from that goes. What a run that is killed had written stays in these; nothing else of it does.
     """
 
     def __init__(self, folder: Path, answer: str = METHODS[0]) -> None:
-        self.folder, self.answer = folder, answer
-        self.records: list[dict[str, Any]] = []
+        self.folder = folder
+        self.answer = answer  # the method whose poses are the answer
+        self.records: list[dict[str, Any]] = []  # of all regions so far
         self._open: dict[str, TextIO] = {}
-        self._digests: dict[str, Any] = {}
         (folder / "methods").mkdir(parents=True, exist_ok=True)
         self._remove_unfinished()
         self._write(REGIONS, [])
@@ -193,16 +155,20 @@ class ResultsWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is None:
-            self.close()
-            return
         for file in self._open.values():
             file.close()
-        if not self.records:
+        if kind is None:
+            old = [TRUTH, PARQUET, "report.html", f"evaluation/{METRICS}", METRICS]
+            old += [f"methods/{path.name}" for path in (self.folder / "methods").glob("*.tum")]
+            for name in set(old) - self._open.keys():
+                (self.folder / name).unlink(missing_ok=True)
+            for name in self._open:
+                (self.folder / f"{name}{UNFINISHED}").replace(self.folder / name)
+        elif not self.records:
             self._remove_unfinished()
 
     def region(self, record: dict[str, Any]) -> None:
-        """Write the region of the next frame, from :func:`region_record`."""
+        """Write the region of the next frame, from :func:`record_of`."""
         self._write(REGIONS, [json.dumps(record)])
         self.records.append(record)
 
@@ -216,46 +182,28 @@ class ResultsWriter:
 
     @property
     def digests(self) -> dict[str, str]:
-        """SHA-256 of the files that numbers about a run rest on, as far as they are written."""
-        return {name: self._digests[name].hexdigest() for name in (REGIONS, TRAJECTORY) if name in self._digests}
-
-    def close(self) -> None:
-        """Finish all files, once; those of an earlier run go, and what was made from them."""
-        if not self._open:
-            return
-        for file in self._open.values():
-            file.close()
-        old = [TRUTH, PARQUET, "report.html", f"evaluation/{METRICS}", METRICS]
-        old += [f"methods/{path.name}" for path in (self.folder / "methods").glob("*.tum")]
-        for name in set(old) - self._open.keys():
-            (self.folder / name).unlink(missing_ok=True)
-        for name in self._open:
-            (self.folder / f"{name}{UNFINISHED}").replace(self.folder / name)
-        self._open.clear()
+        """SHA-256 of the files that numbers about a finished run rest on."""
+        return {name: _digest(self.folder / name) for name in (REGIONS, TRAJECTORY)}
 
     def _write(self, name: str, lines: Sequence[str]) -> None:
         if name not in self._open:
             # line buffered, so that others can follow a run
             self._open[name] = (self.folder / f"{name}{UNFINISHED}").open("w", encoding="utf-8", buffering=1)
-            self._digests[name] = hashlib.sha256()
-            if name.endswith(".tum"):
-                lines = [TUM_HEADER, *lines]
+            lines = [TUM_HEADER, *lines] if name.endswith(".tum") else lines
         for line in lines:
             self._open[name].write(f"{line}\n")
-            self._digests[name].update(f"{line}\n".encode())
 
     def _remove_unfinished(self) -> None:
         for path in [*self.folder.glob(f"*{UNFINISHED}"), *self.folder.glob(f"methods/*{UNFINISHED}")]:
             path.unlink()
 
 
-def write_run(
-    folder: Path, run: OdometryRun, frame_names: Sequence[str], truth: Trajectory | None
-) -> list[dict[str, Any]]:
-    """Write a recording's answers as :class:`ResultsWriter` does; returns the records.
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
-    `frame_names` and `truth` are names and true poses of the answered frames.
-    """
+
+def write_run(folder: Path, run: OdometryRun, frame_names: Sequence[str], truth: Trajectory | None) -> None:
+    """Write a recording's answers; `frame_names` and `truth` are names and true poses of the answered frames."""
     with ResultsWriter(folder, run.answer) as writer:
         for name, trajectory in run.trajectories.items():
             writer.poses(name, trajectory)
@@ -263,18 +211,15 @@ def write_run(
             writer.truth(truth)
         for name, estimate in zip(frame_names, run.estimates, strict=True):
             writer.region(record_of(name, estimate))
-    return writer.records
 
 
-def write_metrics(folder: Path, metrics: dict[str, Any]) -> Path:
-    """Write ``metrics.json``; returns its path."""
-    path = folder / METRICS
-    write_whole(path, json.dumps(metrics, indent=1, allow_nan=False) + "\n")
-    return path
+def write_metrics(folder: Path, metrics: dict[str, Any]) -> None:
+    """Write ``metrics.json``."""
+    write_whole(folder / METRICS, json.dumps(metrics, indent=1, allow_nan=False) + "\n")
 
 
-def write_region_parquet(folder: Path, records: Iterable[dict[str, Any]]) -> Path:
-    """Write records as ``regions.parquet`` (extra ``arrow``), one row per frame; returns its path.
+def write_region_parquet(folder: Path, records: Iterable[dict[str, Any]]) -> None:
+    """Write records as ``regions.parquet`` (extra ``arrow``), one row per frame.
 
     A target is a column ``list<fixed_size_list<double>[2]>`` of sorted, disjoint intervals; ends without a bound are
     infinite. Places are lists of structs.
@@ -298,11 +243,8 @@ def write_region_parquet(folder: Path, records: Iterable[dict[str, Any]]) -> Pat
         targets = {name: _infinite(parts) for name, parts in record["intervals"].items()}
         return {**{name: record[name] for name in plain}, "frame": as_utf8(record["frame"]), **targets, **boxes}
 
-    path, coming = folder / PARQUET, iter(records)
-    with replacing(path) as part, pq.ParquetWriter(part, schema) as file:
-        while some := list(islice(coming, _ROWS_AT_A_TIME)):  # itertools.batched came with Python 3.12
-            file.write_table(pa.Table.from_pylist([row(record) for record in some], schema))
-    return path
+    with replacing(folder / PARQUET) as part:
+        pq.write_table(pa.Table.from_pylist([row(record) for record in records], schema), part)
 
 
 def _infinite(parts: list[list[float | None]]) -> list[list[float]]:
@@ -319,19 +261,12 @@ class RunResult:
     metrics: dict[str, Any]
     records: list[dict[str, Any]]
     trajectories: dict[str, Trajectory]  # by method, the answer first
+    sign_reference: FloatArray  # (4,) quaternion that fixes the signs of quaternions in intervals
 
     @property
     def answer(self) -> Trajectory:
         """The poses of the answer."""
         return next(iter(self.trajectories.values()))
-
-    @property
-    def sign_reference(self) -> FloatArray:
-        """(4,) quaternion that fixes the signs of quaternions in intervals."""
-        try:
-            return np.array(self.metrics["sign_reference_quat_wxyz"], dtype=np.float64).reshape(4)
-        except (KeyError, TypeError, ValueError):
-            raise ResultsError(f"{METRICS}: sign_reference_quat_wxyz is not four numbers") from None
 
 
 def read_run(folder: Path) -> RunResult:
@@ -342,18 +277,17 @@ def read_run(folder: Path) -> RunResult:
     ResultsError
         If the run was killed, or files are missing, damaged, or not of one run.
     """
-    if not (folder / METRICS).exists() and (folder / f"{REGIONS}{UNFINISHED}").exists():
-        raise ResultsError(
-            f"{folder}: the run was stopped before its end; its regions until then are in "
-            f"{REGIONS}{UNFINISHED}. Run it again"
-        )
+    if not (folder / METRICS).exists() and (part := folder / f"{REGIONS}{UNFINISHED}").exists():
+        raise ResultsError(f"{folder}: the run was stopped; its regions until then are in {part.name}. Run it again")
     metrics = read_metrics(folder)
     for name, digest in (metrics.get("results") or {}).items():
-        if not (folder / name).is_file() or hashlib.sha256((folder / name).read_bytes()).hexdigest() != digest:
-            raise ResultsError(
-                f"{folder / name}: is not the file that {METRICS} beside it was written for. Run it again"
-            )
-    result = RunResult(metrics, read_region_records(folder / REGIONS), read_trajectories(folder))
+        if _digest(folder / name) != digest:
+            raise ResultsError(f"{folder / name}: is not the file that {METRICS} was written for. Run it again")
+    try:
+        sign = np.array(metrics["sign_reference_quat_wxyz"], dtype=np.float64).reshape(4)
+    except (KeyError, TypeError, ValueError):
+        raise ResultsError(f"{folder / METRICS}: sign_reference_quat_wxyz is not four numbers") from None
+    result = RunResult(metrics, read_region_records(folder / REGIONS), read_trajectories(folder), sign)
     for name, trajectory in result.trajectories.items():
         if not np.array_equal(trajectory.timestamps_s, result.answer.timestamps_s):
             raise ResultsError(f"{folder}: the poses of {name} have other times than the answer. Run it again")
@@ -363,13 +297,7 @@ def read_run(folder: Path) -> RunResult:
 
 
 def read_region_records(path: Path) -> list[dict[str, Any]]:
-    """Records of ``regions.jsonl``.
-
-    Raises
-    ------
-    ResultsError
-        If the file is missing or a line is not such a record; names the line.
-    """
+    """Records of ``regions.jsonl``; refuses a line that is not such a record, by its number."""
     try:
         lines = path.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
     except OSError as exc:
@@ -419,9 +347,9 @@ def read_metrics(folder: Path) -> dict[str, Any]:
 
 @contextmanager
 def lock_output(folder: Path, command: str, apart: Iterable[Path] = ()) -> Iterator[None]:
-    """Lock a folder for the results of a command; it is writable, and no file of anything else would be overwritten.
+    """Lock a folder for the results of a command, made if missing; no file of anything else would be overwritten.
 
-    It is made if missing. Folders `apart` are read, and so must be others.
+    Folders `apart` are read, and so must be others.
 
     Raises
     ------
@@ -451,8 +379,6 @@ def _owner(folder: Path) -> str | None:
     try:
         return str(json.loads((folder / METRICS).read_text(encoding="utf-8"))["command"]).split()[0]
     except FileNotFoundError:
-        return next(
-            (who for who, names in _FILES.items() if names and who != "data" and (folder / names[0]).exists()), None
-        )
+        return next((who for who, names in _FILES.items() if (folder / names[0]).exists()), None)
     except (OSError, ValueError, KeyError, TypeError, IndexError, RecursionError):
         return "another program"

@@ -19,7 +19,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from conformodal.conformal import NoveltyTest, QuantileBins, SplitConformal
+from conformodal.conformal import ConformodalError, NoveltyTest, QuantileBins, SplitConformal
 from conformodal.core.arrays import AnyArray
 from conformodal.core.extras import MissingPackageError
 from conformodal.core.files import write_whole
@@ -32,32 +32,19 @@ from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import MotionPrior
 from conformodal.localizer.radius import PoseRadius
 from conformodal.localizer.regions import PlaceNovelty, RegionRules
-from conformodal.localizer.sources.registry import PoseSource, SourceState, find_source
+from conformodal.localizer.sources.registry import SourceState, find_source
 
-from .errors import ModelFileError
 from .identity import FrameIdentities
 from .model import PATHS, PoseModel, SourceComparison, path_rule
 
 FORMAT = "conformodal-model-20"
 _JSON = "model.json"
 _FILES = {"weights": "weights-{}.safetensors", "network": "network-{}.onnx"}  # with the first digits of their digests
-_DAMAGE = (
-    SafetensorError,
-    AttributeError,
-    IndexError,
-    KeyError,
-    TypeError,
-    ValueError,  # and every error of this package
-    ArithmeticError,
-    RuntimeError,  # torch, and JSON nested without end
-)
+# what reading damaged files raises: ValueError is every error of this package too, RuntimeError JSON without end
+_DAMAGE = (SafetensorError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError, RuntimeError)
 _PARTS = ("train", "calibration", "test")
-# Keys of model.json, and arrays by name: kind of their numbers, and dimensions. A star stands for the end of a name;
-# pose sources check their own.
-_KEYS = {
-    "format", "backbone", "backbone_fingerprint", "sources", "calibration", "prior", "camera", "split", "configuration",
-    "radius", "comparison", "weights", "network",
-}  # fmt: skip
+# Arrays by name: kind of their numbers, and dimensions. A star stands for a number or a path; pose sources check their
+# own.
 _ARRAYS = {
     "bins.*": ("f", 1), "cells.*": ("f", 1), "split.*": ("i", 1), "sign_reference": ("f", 1),
     "frames.files": ("u", 2), "frames.poses": ("f", 2),
@@ -68,16 +55,10 @@ _ARRAYS = {
     "matched.scores": ("f", 1), "matched.units": ("i", 1), "disturbed.novelty": ("f", 1), "disturbed.units": ("i", 1),
     "disturbed.scores": ("f", 2), "disturbed.known_p": ("f", 1), "quality": ("f", 2),
 }  # fmt: skip
-_NEEDED = (
-    "bins.0",
-    "cells.0",
-    *(f"split.{part}" for part in _PARTS),
-    "sign_reference",
-    "frames.files",
-    "frames.poses",
-    "calibration.scores",
-    "calibration.known_p",
-)
+
+
+class ModelFileError(ConformodalError):
+    """A saved model that is missing, incomplete, of another version, or not as it was saved; names the file."""
 
 
 def save_model(model: PoseModel, folder: Path) -> None:
@@ -121,10 +102,19 @@ def _path(folder: Path, name: str, digest: str) -> Path:
     return folder / _FILES[name].format(digest[:8])
 
 
+def _finite(record: dict[str, Any]) -> dict[str, Any]:
+    """The record with null for infinity and NaN, which JSON does not have."""
+    return {k: finite_or_none(v) if isinstance(v, float) else v for k, v in record.items()}
+
+
+def _digest(record: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
 def _arrays(model: PoseModel) -> dict[str, AnyArray | None]:
     """All arrays of a model but those of its sources; None for what it does not have."""
     rules, overall, novelty = model.rules, model.calibration, model.novelty
-    shared = overall.joint == "max"
+    loc, scale = overall.scales() if overall.joint == "max" else (None, None)
     arrays: dict[str, AnyArray | None] = {
         **{f"bins.{j}": edges for j, edges in enumerate(model.bins.edges_)},
         **{f"cells.{j}": edges for j, edges in enumerate(overall.bins.edges_)},
@@ -136,8 +126,8 @@ def _arrays(model: PoseModel) -> dict[str, AnyArray | None]:
         "calibration.known_p": rules.known_p,
         "calibration.recognised": rules.recognised,
         "calibration.units": overall.units_,
-        "calibration.loc": overall.scales()[0] if shared else None,
-        "calibration.scale": overall.scales()[1] if shared else None,
+        "calibration.loc": loc,
+        "calibration.scale": scale,
     }
     for path, rule in model.path_rules.items():
         arrays[f"path.{path}.scores"] = rule.scores_.max(axis=1)
@@ -164,8 +154,8 @@ def load_model(folder: Path | str) -> PoseModel:
     folder = Path(folder)
     try:
         record = _read_record(folder / _JSON)
-        arrays = load_tensors(_read(_path(folder, "weights", record["weights"]), record["weights"]))
-        _check_schema(record, arrays)
+        arrays = load_tensors(_read(folder, "weights", record))
+        _check_arrays(arrays)
         return _assemble(record, arrays, folder)
     except (ModelFileError, MissingPackageError):
         raise
@@ -196,75 +186,63 @@ def _read_record(path: Path) -> dict[str, Any]:
     return dict(record)
 
 
-def _digest(record: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
-
-
-def _read(path: Path, sha256: str) -> bytes:
+def _read(folder: Path, name: str, record: dict[str, Any]) -> bytes:
+    """The content of one of the files that a record names."""
+    path = _path(folder, name, record[name])
     try:
         content = path.read_bytes()
     except OSError as exc:
         raise ModelFileError(f"{path}: cannot be read: {exc.strerror}") from exc
-    if hashlib.sha256(content).hexdigest() != sha256:
+    if hashlib.sha256(content).hexdigest() != record[name]:
         raise ModelFileError(f"{path}: is not the file that was saved with {_JSON}: its digest differs")
     return content
 
 
-def _check_schema(record: dict[str, Any], arrays: dict[str, AnyArray]) -> None:
-    """Refuse keys and arrays that a model does not have, and others than it has."""
-    missing = [*(_KEYS - record.keys()), *(name for name in _NEEDED if name not in arrays)]
-    if missing:
-        raise KeyError(missing[0])
+def _check_arrays(arrays: dict[str, AnyArray]) -> None:
+    """Refuse arrays that a model does not have, and others than it has."""
     for name, array in arrays.items():
-        if name.startswith("source."):
-            continue
         group, *rest = name.split(".")
         expected = _ARRAYS.get(name) or _ARRAYS.get(".".join([group, "*", *rest[1:]]))
-        if expected != (array.dtype.kind, array.ndim):
+        if group != "source" and expected != (array.dtype.kind, array.ndim):
             raise TypeError(f"array {name} is {array.dtype} {array.shape}, expected {expected}")
 
 
 def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path) -> PoseModel:
-    backbone = _backbone(record, folder)
-    bins, cells = (QuantileBins.from_edges(_numbered(arrays, name)) for name in ("bins", "cells"))
-    sources = tuple(_source(source["name"], source["settings"], arrays) for source in record["sources"])
-    stated, split, novelty = record["calibration"], record["split"], _novelty(arrays, backbone.config.grid)
-    rules = _rules(cells, stated, arrays, novelty)
+    if record["network"] is None:
+        raise ModelFileError(f"{folder}: holds no network in ONNX. Train the model again")
+    backbone, stated, split, radius = (record[name] for name in ("backbone", "calibration", "split", "radius"))
+    config = BackboneConfig(**{**backbone, "grid": tuple(backbone["grid"])})
+    edges = {
+        kind: [arrays[f"{kind}.{j}"] for j in range(sum(name.startswith(f"{kind}.") for name in arrays))]
+        for kind in ("bins", "cells")
+    }
+    sources = []
+    for source in record["sources"]:
+        start = f"source.{source['name']}."
+        mine = {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
+        sources.append(find_source(source["name"]).from_state(SourceState(mine, source["settings"])))
+    novelty = _novelty(arrays, config.grid)
+    rules = _rules(QuantileBins.from_edges(edges["cells"]), stated, arrays, novelty)
+    if radius is not None and radius["radius_rad"] is None:
+        radius["radius_rad"] = math.inf
+    prior: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in record["prior"].items()}
+    prior |= {k: math.nan for k in ("depth_m", "depth_spread") if prior[k] is None}
     return PoseModel(
-        backbone=backbone,
-        localizer=Localizer(sources, bins, arrays["sign_reference"]),
+        backbone=Backbone(config, _read(folder, "network", record)),
+        localizer=Localizer(tuple(sources), QuantileBins.from_edges(edges["bins"]), arrays["sign_reference"]),
         novelty=novelty,
         rules=rules,
-        prior=_prior(record["prior"]),
+        prior=MotionPrior(**prior),
         camera=PinholeCamera(**record["camera"]),
         split=Split(split["kind"], split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
         known_frames=FrameIdentities(arrays["frames.files"], arrays["frames.poses"]),
         configuration=record["configuration"],
-        radius=_radius(record["radius"]),
+        radius=None if radius is None else PoseRadius(**radius),
         comparison=None if record["comparison"] is None else SourceComparison(**record["comparison"]),
         path_rules={path: _path_rule(rules, arrays, path) for path in PATHS if f"path.{path}.scores" in arrays},
         reliable_p=float(stated["reliable_p"]),
         quality=QualityRange(*arrays["quality"]) if "quality" in arrays else None,
     )
-
-
-def _backbone(record: dict[str, Any], folder: Path) -> Backbone:
-    config = BackboneConfig(**{**record["backbone"], "grid": tuple(record["backbone"]["grid"])})
-    if record["network"] is None:
-        raise ModelFileError(f"{folder}: holds no network in ONNX. Train the model again")
-    return Backbone(config, _read(_path(folder, "network", record["network"]), record["network"]))
-
-
-def _numbered(arrays: dict[str, AnyArray], name: str) -> list[AnyArray]:
-    """The arrays ``NAME.0``, ``NAME.1``, ..."""
-    n = sum(key.startswith(f"{name}.") for key in arrays)
-    return [arrays[f"{name}.{j}"] for j in range(n)]
-
-
-def _source(name: str, settings: dict[str, Any], arrays: dict[str, AnyArray]) -> PoseSource:
-    start = f"source.{name}."
-    mine = {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
-    return find_source(name).from_state(SourceState(mine, settings))
 
 
 def _rules(
@@ -299,21 +277,3 @@ def _novelty(arrays: dict[str, AnyArray], grid: tuple[int, int]) -> PlaceNovelty
     if "disturbed.novelty" in arrays:
         disturbed = test.rescored(arrays["disturbed.novelty"], arrays["disturbed.units"])
     return PlaceNovelty(test, grid, matched, disturbed)
-
-
-def _finite(record: dict[str, Any]) -> dict[str, Any]:
-    """The record with null for infinity and NaN, which JSON does not have."""
-    return {k: finite_or_none(v) if isinstance(v, float) else v for k, v in record.items()}
-
-
-def _prior(record: dict[str, Any]) -> MotionPrior:
-    values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in record.items()}
-    depths = {k: math.nan if record[k] is None else float(record[k]) for k in ("depth_m", "depth_spread")}
-    return MotionPrior(**{**values, **depths})
-
-
-def _radius(record: dict[str, Any] | None) -> PoseRadius | None:
-    if record is None:
-        return None
-    limit = math.inf if record["radius_rad"] is None else float(record["radius_rad"])
-    return PoseRadius(**{**record, "radius_rad": limit})

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -19,10 +18,13 @@ from conformodal.localizer.observations import MotionPrior, Observations, PosePa
 from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.localizer.smoother import image_hypotheses, smooth
 
-from .estimates import Estimate, FrameEstimator, observations_of
+from .estimates import Estimate, observations_of
 from .evaluate import RegionStatistics, path_coverage_table
 from .model import HINDSIGHT, METHODS, ONLINE
 from .results import ResultsWriter, record_of
+
+if TYPE_CHECKING:
+    from .estimator import Odometry  # which answers recordings by a runner
 
 # Whole-path answers are worked out for so many frames at a time. The last ones wait for the next window, and that one
 # sees as many frames before them: what is further away than a few hundred frames tells nothing of a frame.
@@ -46,14 +48,6 @@ def as_trajectory(path: PosePath) -> Trajectory:
     return Trajectory(path.timestamps_s, path.positions_xyz, path.orientations_quat_wxyz)
 
 
-@dataclass(frozen=True, eq=False)
-class _Pending:
-    """A frame whose final answer is still to come."""
-
-    estimate: Estimate
-    truth: Trajectory | None
-
-
 class StreamRunner:
     """Takes frames one by one, answers each, and writes the answers.
 
@@ -62,41 +56,13 @@ class StreamRunner:
     frames are one. As a context it ends the thread that answers windows, whatever error ends the stream;
     :meth:`finish` writes.
 
-    Parameters
-    ----------
-    estimator
-        Answers each frame; it is reset here and at each new recording.
-    writer
-        Writes regions and poses; None writes nothing.
-    truth, posed
-        True poses of the frames `posed` of a data set, None for all, to measure coverage with.
-    window, overlap
-        Frames.
-    keep_regions
-        Whether to keep regions in hindsight.
-
-    Attributes
-    ----------
-    n_answered, n_unreliable, n_localized, n_unknown
-        Frames so far; the last two: those with an absolute pose estimate from landmarks, and those that show no known
-        place.
-    answered
-        Places in the data set of those whose true pose is known.
-    known
-        Which of the answers these are, counted from 0.
-    motion
-        How often which motion status.
-    problems
-        The first hundred frames without an image, by name, and why; `n_problems` counts all.
-    windowed
-        Whether a recording was too long to be answered as a whole.
-    hindsight_regions
-        Of all frames so far, if they are kept and the model has them.
+    The estimator is reset here and at each new recording; `truth` are the true poses of the frames `posed` of a data
+    set, None for all, to measure coverage with; `keep_regions` keeps regions in hindsight.
     """
 
     def __init__(
         self,
-        estimator: FrameEstimator,
+        estimator: Odometry,
         writer: ResultsWriter | None = None,
         *,
         truth: Trajectory | None = None,
@@ -107,13 +73,15 @@ class StreamRunner:
     ) -> None:
         self.estimator, self.writer = estimator, writer
         self.window, self.overlap = window, overlap
-        self.n_answered = self.n_unreliable = self.n_localized = self.n_unknown = self.n_problems = 0
-        self.answered: list[int] = []
-        self.known: list[int] = []
-        self.motion: Counter[str] = Counter()
-        self.windowed = False
-        self.problems: dict[str, str] = {}
-        self.hindsight_regions: list[PoseRegions] = []
+        self.n_answered = self.n_unreliable = self.n_problems = 0  # frames so far
+        self.n_localized = 0  # those with an absolute pose estimate from landmarks
+        self.n_unknown = 0  # those that show no known place
+        self.answered: list[int] = []  # places in the data set of those whose true pose is given
+        self.rows_with_truth: list[int] = []  # which of the answers these are, counted from 0
+        self.motion: Counter[str] = Counter()  # how often which motion status
+        self.windowed = False  # whether a recording was too long to be answered as a whole
+        self.problems: dict[str, str] = {}  # of the first hundred frames without an image, by name
+        self.hindsight_regions: list[PoseRegions] = []  # of all frames so far, if they are kept and the model has them
         self._keep_regions = keep_regions
         self._truth = truth
         frames = range(0 if truth is None else len(truth)) if posed is None else posed.tolist()
@@ -122,7 +90,7 @@ class StreamRunner:
         self._statistics: list[RegionStatistics] = []
         self._path_statistics: dict[str, list[RegionStatistics]] = {ONLINE: [], HINDSIGHT: []}
         self._reliable: list[bool] = []
-        self._pending: list[_Pending] = []
+        self._pending: list[tuple[Estimate, Trajectory | None]] = []  # with the truth; their final answer is to come
         self._n_written = 0  # of the pending, which stay to tell of those that follow
         self._recording: int | None = None
         self._last: Frame | None = None
@@ -145,14 +113,12 @@ class StreamRunner:
     @property
     def path_coverage(self) -> dict[str, Any] | None:
         """Of the regions from posteriors; None where the model has none or no truth is known."""
-        statistics = {
-            path: RegionStatistics.concatenate(parts) for path, parts in self._path_statistics.items() if parts
-        }
+        measured = {path: RegionStatistics.concatenate(parts) for path, parts in self._path_statistics.items() if parts}
         truth = self.truth
-        if not statistics or truth is None:
+        if not measured or truth is None:
             return None
-        online = self.trajectories[ONLINE][np.array(self.known)]
-        return path_coverage_table(statistics, self.estimator.model, online, truth, np.array(self._reliable))
+        online = self.trajectories[ONLINE][np.array(self.rows_with_truth)]
+        return path_coverage_table(measured, self.estimator.model, online, truth, np.array(self._reliable))
 
     @property
     def truth(self) -> Trajectory | None:
@@ -169,10 +135,7 @@ class StreamRunner:
     def push(self, frame: Frame) -> Estimate | None:
         """Take the next frame; None where it wants no answer, or has no time, which is a problem of that frame alone.
 
-        Raises
-        ------
-        SourceError
-            If its timestamp, and that of ten frames in a row, is not later than the one before.
+        The timestamps of more than ten frames in a row that are not later than the one before end the stream.
         """
         if not math.isfinite(frame.timestamp_s):
             self._note(frame, f"timestamp is {frame.timestamp_s} s, expected a finite number")
@@ -235,14 +198,14 @@ class StreamRunner:
             sign, kind = self.estimator.model.sign_reference, np.array([estimate.evidence])
             self._statistics.append(RegionStatistics.of(region, truth, sign, kind))
             self.answered.append(frame.index)
-            self.known.append(self.n_answered - 1)
+            self.rows_with_truth.append(self.n_answered - 1)
             self._reliable.append(estimate.reliable)
             self._measure_path(ONLINE, estimate.path_region, truth)
         if not self.estimator.whole_paths:  # each answer is the last word
             self._add_poses(self.estimator.answer, pose)
             return
         self._add_poses(ONLINE, pose)
-        self._pending.append(_Pending(estimate, truth))
+        self._pending.append((estimate, truth))
         if len(self._pending) >= self.window:
             self.windowed = True
             self._flush(everything=False)
@@ -267,23 +230,22 @@ class StreamRunner:
         if everything:
             self._finish_window()
 
-    def _answer_window(self, pending: list[_Pending], wanted: slice) -> None:
+    def _answer_window(self, pending: list[tuple[Estimate, Trajectory | None]], wanted: slice) -> None:
         """Answer a window, and write some of its frames; in a thread, so that a camera is not kept waiting."""
         model = self.estimator.model
-        estimates = [p.estimate for p in pending]
-        observations = observations_of(estimates, model)
-        forward = [e.posterior for e in estimates if e.posterior is not None]
+        observations = observations_of([estimate for estimate, _ in pending], model)
+        forward = [estimate.posterior for estimate, _ in pending if estimate.posterior is not None]
         posteriors = hindsight_posteriors(observations, model.prior, forward)
         for method, trajectory in whole_paths(posteriors, observations, model.prior).items():
             self._add_poses(method, trajectory[wanted])
-        for p, posterior in zip(pending[wanted], posteriors[wanted], strict=True):
-            if (p.truth is None and not self._keep_regions) or p.estimate.localization is None:
+        for (estimate, truth), posterior in zip(pending[wanted], posteriors[wanted], strict=True):
+            if (truth is None and not self._keep_regions) or estimate.localization is None:
                 continue
-            region = model.path_regions(p.estimate.localization.beliefs, [posterior], HINDSIGHT)
+            region = model.path_regions(estimate.localization.beliefs, [posterior], HINDSIGHT)
             if self._keep_regions and region is not None:
                 self.hindsight_regions.append(region)
-            if p.truth is not None:
-                self._measure_path(HINDSIGHT, region, p.truth)
+            if truth is not None:
+                self._measure_path(HINDSIGHT, region, truth)
         release_freed_memory()
 
     def _measure_path(self, path: str, region: PoseRegions | None, truth: Trajectory) -> None:

@@ -1,20 +1,27 @@
-"""Training and calibrating a pose model on a sequence with poses."""
+"""Training and calibrating a pose model on recordings with poses, and a radius around its answers to others."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from conformodal.conformal.checks import Alpha
+from conformodal.core.arrays import FloatArray, IntArray, rows_by_label
 from conformodal.core.extras import require_extra
+from conformodal.core.files import default_cache_dir
 from conformodal.core.parallel import side_by_side
 from conformodal.core.progress import StageProgress, stage_of
+from conformodal.core.words import counted
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.geometry import RelativeMotion, sign_reference
+from conformodal.geometry import RelativeMotion, Trajectory, sign_reference
 from conformodal.io import Recording, make_split, with_random_calibration
+from conformodal.io.joining import join_recordings
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import MotionPrior, fit_motion_prior
+from conformodal.localizer.radius import Guarantee, PoseRadius, depth_or_default, fit_pose_radius, pose_errors
 from conformodal.localizer.regions import PlaceNovelty
 from conformodal.tracking.motions import measure_motions
 
@@ -27,31 +34,18 @@ from .calibrate import (
     compare_sources,
     paper_rules,
 )
-from .config import Method, ModelConfig, record_of
-from .folds import Folds, make_folds
+from .config import Method, ModelConfig, OdometryError
+from .estimates import OdometryRun
+from .estimator import VisualOdometry
 from .identity import identify
-from .model import PoseModel
-from .training_data import TrainingData
+from .model import METHODS, PoseModel
+from .training_data import Folds, TrainingData, make_folds
 
 
 def prepare_training_data(
     sequence: Recording, config: ModelConfig, cache: FeatureCache, progress: StageProgress | None = None
 ) -> TrainingData:
-    """Split a sequence and compute the features of all its frames.
-
-    Raises
-    ------
-    PoseError
-        If the sequence has no poses.
-    SplitError
-        If a part would be empty, or the sequence lacks the recordings or lists that the split needs.
-    ImageError
-        If an image cannot be read; names the file.
-    VisionError
-        If the network is not on this machine, or cannot be exported to ONNX.
-    MissingPackageError
-        If what training needs is not installed.
-    """
+    """Split a sequence with poses and compute the features of all its frames."""
     with require_extra("train", "training"):
         from conformodal.features.export import make_backbone  # noqa: PLC0415
         from conformodal.features.networks import backbone_config  # noqa: PLC0415
@@ -73,23 +67,38 @@ def prepare_training_data(
     backbone = make_backbone(network, cache)
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])
     targets = pose_targets(truth, reference)
-    stage = stage_of(progress, "features")
-    features = extract_features(sequence.image_paths, backbone, cache, stage, sequence.noise)
+    features = extract_features(sequence.image_paths, backbone, cache, stage_of(progress, "features"), sequence.noise)
     return TrainingData(sequence, split, backbone, features, targets, reference, cache)
 
 
 def train_model(
-    data: TrainingData,
-    config: ModelConfig,
+    data: Recording | Sequence[Recording] | TrainingData,
+    config: ModelConfig | None = None,
     *,
+    cache: FeatureCache | None = None,
     progress: StageProgress | None = None,
 ) -> PoseModel:
-    """Train on the training part and calibrate; nothing is chosen on the test part.
+    """Train on the training part of recordings and calibrate; nothing is chosen on the test part.
 
     Where frames calibrate, the sources learn from the training part. Where stretches do, each stretch of training and
     calibration part is answered by sources that learnt from the others, and the model's own learn from all of them;
     the scores of both are compared on some frames of the test part. ``examples/images.py`` trains on images with poses.
+
+    Parameters
+    ----------
+    data
+        Recordings with poses, in one world frame; or what :func:`prepare_training_data` made of them.
+    config, cache
+        Settings, and where features are kept for the next training: the user's cache.
+    progress
+        Called with stage, parts done and parts in all.
     """
+    config = ModelConfig() if config is None else config
+    if not isinstance(data, TrainingData):
+        whole = join_recordings([data] if isinstance(data, Recording) else list(data))
+        data = prepare_training_data(
+            whole, config, FeatureCache(default_cache_dir()) if cache is None else cache, progress
+        )
     folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
     sources = data.for_sources(config, progress)
     parts = [fold.train for fold in folds.folds]
@@ -107,8 +116,8 @@ def train_model(
             CalibratedRegions(paper_rules(sources, folds.held_out, localizer, config), None, []),
         )
     else:
-        known, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
-        novelty = PlaceNovelty.fit(known, pieces, data.backbone.config.grid)
+        features, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
+        novelty = PlaceNovelty.fit(features, pieces, data.backbone.config.grid)
         frames_alone = calibrate_regions(sources, folds, localizers, novelty, config)
         paths, regions = side_by_side(
             lambda: calibrate_paths(data.sequence, data.targets, folds, localizers, frames_alone, prior, motions),
@@ -125,7 +134,7 @@ def train_model(
         camera=data.sequence.camera,
         split=data.split,
         known_frames=known_frames,
-        configuration=record_of(config, data.sequence.name, len(data.sequence), "stretches" if stretches else "frames")
+        configuration=config.record(data.sequence.name, len(data.sequence), "stretches" if stretches else "frames")
         | {"whole_recordings": folds.whole_recordings},
         comparison=compare_sources(sources, localizers, localizer, novelty, rules, test) if stretches else None,
         path_rules=paths.rules,
@@ -149,3 +158,59 @@ def _motion_prior(data: TrainingData, config: ModelConfig) -> MotionPrior:
         return prior
     depth, spread = data.depths
     return replace(prior, depth_m=depth, depth_spread=spread)
+
+
+def calibrate_selection(
+    model: PoseModel,
+    sequence: Recording,
+    alpha: Alpha = 0.1,
+    guarantee: Guarantee = Guarantee.FRAME,
+    method: str = METHODS[0],
+    metres_per_rad: float | None = None,
+    *,
+    progress: StageProgress | None = None,
+) -> PoseRadius:
+    """Answer whole recordings with known poses, and turn the errors into a radius around the chosen pose.
+
+    A region keeps its guarantee because nothing was chosen; choosing one place in it voids that. Here the whole
+    procedure, from frames to one trajectory, gets a guarantee of its own.
+
+    Parameters
+    ----------
+    model, sequence
+        The model, and other recordings than it was trained on: fewer than ``1 / alpha - 1`` leave the radius infinite.
+    alpha, guarantee, method
+        See :class:`PoseRadius`.
+    metres_per_rad
+        How many metres of position weigh as much as one radian; None for the scene's depth, as training found it. The
+        guarantee is exact as long as the true poses of these recordings had no part in choosing it.
+    progress
+        As for :meth:`~conformodal.VisualOdometry.process`.
+
+    Raises
+    ------
+    OdometryError
+        If a frame is one of the data set that the model was trained on. A frame of its test part is refused too: the
+        model knows the recording around it.
+    """
+    trained_on = model.known_frames.known(identify(sequence))
+    if trained_on.any():
+        raise OdometryError(
+            f"{sequence.image_paths[int(trained_on.argmax())]}: is a frame of the data set the model was trained on, "
+            f"as {trained_on.sum()} of {counted(len(trained_on), 'frame')} are; calibrate on other recordings"
+        )
+    truth = sequence.require_truth()
+    run = VisualOdometry(model).process(sequence, progress=progress)
+    # the depth was learnt in training, so it knows nothing of these recordings
+    depth = depth_or_default(model.prior.depth_m) if metres_per_rad is None else metres_per_rad
+    errors = recording_errors(run, method, truth, sequence.recording)
+    return fit_pose_radius(errors, alpha, guarantee, method, metres_per_rad=depth)
+
+
+def recording_errors(
+    run: OdometryRun, method: str, truth: Trajectory, recording: IntArray
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Errors of a run, one pair of vectors per recording. A frame that could not be read is infinitely far off."""
+    position, angle = np.full(len(truth), np.inf), np.full(len(truth), np.inf)
+    position[run.frames], angle[run.frames] = pose_errors(run.trajectories[method], truth[run.frames])
+    return [(position[rows], angle[rows]) for rows in rows_by_label(recording)]

@@ -10,13 +10,8 @@ import numpy as np
 from conformodal.core.words import counted, finite_or_none
 from conformodal.localizer.regions import EvidenceType
 
-from .examining import RecordingQuality
-from .guarantee import EvidenceGuarantee
-from .place_ambiguity import AmbiguousStretch, Point
-from .settings import QUALITY
-from .view_coverage import Stretch
-
-_DIGITS = 4
+from .examining import WHERE, EvidenceGuarantee, RecordingQuality
+from .view_coverage import QUALITY, AmbiguousStretch, Point, Stretch
 
 
 def verdict(quality: RecordingQuality) -> str:
@@ -43,10 +38,8 @@ def numbers(quality: RecordingQuality) -> list[str]:
             f"model was not trained on (more than {_limit(QUALITY.sparse, quality)} from the nearest known view)"
         )
     if coverage is not None:
-        lines.append(
-            f"fast motion: {counted(len(coverage.fast), 'stretch', 'stretches')} "
-            f"(more than {_limit(QUALITY.fast, quality)} from frame to frame)"
-        )
+        stretches = counted(len(coverage.fast), "stretch", "stretches")
+        lines.append(f"fast motion: {stretches} (more than {_limit(QUALITY.fast, quality)} from frame to frame)")
     if places is not None:
         lines.append(
             f"ambiguous: {(places.n_places > 1).sum()} of {counted(len(places.frames), 'frame')} that the model has "
@@ -57,17 +50,21 @@ def numbers(quality: RecordingQuality) -> list[str]:
 
 def advice(quality: RecordingQuality) -> list[str]:
     """What to record or train on next, the most valuable first; empty where nothing is missing."""
-    lines = [guarantee.advice() for guarantee in _unbounded(quality)]
+    lines = []
+    for one in _unbounded(quality):  # too few calibration frames, or too many of them beyond the training range
+        enough = one.weight >= one.weight_needed
+        what = "training data that reach further" if enough else "more, or ask for a larger alpha"
+        lines.append(f"Record {what}: regions are unbounded {WHERE[one.evidence]}.")
     if quality.coverage is not None:
         # most errors are to be expected in long stretches far from everything known
         for what, why, stretches in (
             ("Record, or train on,", "the nearest known view is {} away", quality.coverage.sparse),
             ("Move more slowly, or record more views, in", "up to {} from frame to frame", quality.coverage.fast),
         ):
-            for one in sorted(stretches, key=lambda one: -one.change * (one.last - one.first + 1)):
-                change = why.format(f"{one.distance_m:.2f} m and {one.angle_deg:.0f} degrees")
-                change = change if np.isfinite(one.distance_m) else "nothing is known"
-                lines.append(f"{what} {_where(one, quality)}: {change}.")
+            for piece in sorted(stretches, key=lambda one: -one.change * (one.last - one.first + 1)):
+                change = why.format(f"{piece.distance_m:.2f} m and {piece.angle_deg:.0f} degrees")
+                change = change if np.isfinite(piece.distance_m) else "nothing is known"
+                lines.append(f"{what} {_where(piece, quality)}: {change}.")
     if quality.ambiguity is not None:
         for pair in sorted(quality.ambiguity.stretches, key=lambda one: -one.n_frames):
             alike = f"{_where(pair, quality)} look like places {_around(pair.alike_xyz, quality)}"
@@ -129,4 +126,4 @@ def _around(place_xyz: Point, quality: RecordingQuality) -> str:
 
 def _row(one: Stretch | AmbiguousStretch) -> dict[str, Any]:
     """A stretch, with null for what is infinite."""
-    return {k: finite_or_none(round(v, _DIGITS)) if isinstance(v, float) else v for k, v in asdict(one).items()}
+    return {k: finite_or_none(round(v, 4)) if isinstance(v, float) else v for k, v in asdict(one).items()}

@@ -7,22 +7,76 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from conformodal.conformal import coverage_band
 from conformodal.core.arrays import IntArray, evenly_spread
 from conformodal.core.progress import StageProgress, stage_of
+from conformodal.core.words import counted
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.geometry import Trajectory
+from conformodal.features.local import LocalFeatures
+from conformodal.geometry import PoseError, Trajectory
 from conformodal.io import ImageError, Recording
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.radius import depth_or_default
-from conformodal.pipeline.depths import measure_depths
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.identity import identify
-from conformodal.pipeline.model import Localization, PoseModel
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.training_data import measure_depths
 from conformodal.tracking.motions import frame_features
 
-from .guarantee import EvidenceGuarantee, guarantees
-from .place_ambiguity import Ambiguity, ambiguity
-from .settings import QUALITY
-from .view_coverage import PoseCoverage, ViewScale, pose_coverage
+from .view_coverage import QUALITY, Ambiguity, PoseCoverage, ViewScale, ambiguity, pose_coverage
+
+N_NEW = 1000
+WHERE = {
+    EvidenceType.GLOBAL: "in all images",
+    EvidenceType.UNMATCHED: "where landmarks recognise no place",
+    EvidenceType.LANDMARKS: "where landmarks recognise the place",
+    EvidenceType.DISTURBED: "in disturbed images",
+}
+
+
+@dataclass(frozen=True)
+class EvidenceGuarantee:
+    """What the regions of one evidence type guarantee."""
+
+    evidence: EvidenceType
+    alpha: float  # the miscoverage rate in force
+    n_frames: int  # of this type that calibrate
+    n_units: int  # exchangeable units: these frames, or the stretches or recordings that they belong to
+    weight: float  # of these frames, in whole units: fewer than `n_units` where types share stretches
+    weight_needed: float  # for a finite threshold at `alpha`
+    finite: bool  # whether its regions are bounded at `alpha`
+    # central 99 % interval of the coverage of new frames, over all calibrations and frames; None where no law is exact
+    band: tuple[float, float] | None
+
+    def describe(self) -> str:
+        """The guarantee in one line."""
+        text = f"regions {WHERE[self.evidence]}: {'bounded' if self.finite else 'unbounded'} at alpha = {self.alpha:g}"
+        text += f", calibrated on {counted(self.n_frames, 'frame')}"
+        if self.weight != self.n_frames:
+            text += f" (weight {self.weight:.1f} of {self.n_units}, at least {self.weight_needed:g} needed)"
+        if self.band is not None and self.finite:
+            text += f"; cover {self.band[0]:.3f} to {self.band[1]:.3f} of {N_NEW} new frames (99 % band)"
+        return text
+
+
+def guarantees(model: PoseModel) -> list[EvidenceGuarantee]:
+    """The guarantees of a model, one for each evidence type that has regions of its own."""
+    listed = []
+    for evidence, rule in model.rules.by_type.items():
+        exact = model.frames_are_exchangeable and rule.units_ is None and rule.joint != "bonferroni"
+        listed.append(
+            EvidenceGuarantee(
+                evidence=evidence,
+                alpha=float(rule.alpha),
+                n_frames=len(rule.scores_),
+                n_units=rule.n_units,
+                weight=float(rule.weight),
+                weight_needed=float(1 / rule.alpha_per_target - 1),
+                finite=bool(np.isfinite(rule.thresholds_).all()),
+                band=coverage_band(rule.n_units, N_NEW, rule.alpha_per_target) if exact and rule.n_units else None,
+            )
+        )
+    return listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +115,12 @@ def examine(
 ) -> RecordingQuality:
     """Assess a recording, with poses or without, by a model or by its poses alone.
 
-    Parameters
-    ----------
-    model
-        The frames that it was trained on are recognised by their files; the others are held out. None takes all
-        frames as known.
-    just_trained
-        Whether the model was trained on this very recording: fewer held-out frames are looked at then.
+    A model's training frames are recognised by their files; the others are held out. Without a model all frames count
+    as known. `just_trained` says that the model was trained on this very recording: fewer frames are looked at then.
     """
     posed, poses, recording = sequence.posed, sequence.poses, sequence.recording
     if model is None:
-        trained, views, depth_m = posed, poses, _depth(sequence)
+        trained, views, depth_m = posed, poses, scene_depth(sequence)
     else:
         model.check_camera(sequence.camera)
         trained = frames = model.localizer.frames
@@ -79,43 +128,36 @@ def examine(
             trained = model.known_frames.find(identify(sequence))[frames]
         rows, depth_m = model.known_frames.poses[frames], model.prior.depth_m
         views = Trajectory(np.arange(float(len(rows))), rows[:, :3], rows[:, 3:])
-    scale = ViewScale.of(sequence.camera, depth_or_default(depth_m))
-    coverage = None
+    scale, coverage = ViewScale.of(sequence.camera, depth_or_default(depth_m)), None
     if poses is not None and views is not None:
         coverage = pose_coverage(poses, recording[posed], views, scale, posed)
     if model is None:
         return RecordingQuality(sequence, posed, poses, trained, scale, coverage)
     held_out = np.setdiff1d(np.arange(len(sequence)), trained)
     most = QUALITY.most_after_training if just_trained else QUALITY.most_looked
-    frames, answers = _localize(sequence, model, held_out[evenly_spread(len(held_out), most)], cache, progress)
-    places = None if answers is None else ambiguity(frames, recording[frames], answers, scale)
+    local = _features_of(sequence, held_out[evenly_spread(len(held_out), most)], progress)
+    places, readable = None, np.array(list(local), dtype=np.int64)
+    if local:
+        files, stage = [sequence.image_paths[i] for i in local], stage_of(progress, "network")
+        features = extract_features(files, model.backbone, cache or FeatureCache(None), stage, sequence.noise)
+        answers = model.localize(FrameEvidence(features, list(local.values())))
+        places = ambiguity(readable, recording[readable], answers, scale)
     return RecordingQuality(sequence, posed, poses, trained, scale, coverage, places, guarantees(model))
 
 
-def _localize(
-    sequence: Recording, model: PoseModel, frames: IntArray, cache: FeatureCache | None, progress: StageProgress | None
-) -> tuple[IntArray, Localization | None]:
-    """Those of some frames whose images can be read, and the model's answers to each alone."""
-    report, usable, local = stage_of(progress, "held-out"), [], []
+def scene_depth(sequence: Recording) -> float:
+    """Median depth in metres of what the camera sees, from images and poses; NaN where it cannot be told."""
+    with suppress(ImageError, PoseError):
+        return measure_depths(sequence, np.arange(len(sequence)))[0]
+    return float("nan")
+
+
+def _features_of(sequence: Recording, frames: IntArray, progress: StageProgress | None) -> dict[int, LocalFeatures]:
+    """Local features of the frames whose images can be read."""
+    report, local = stage_of(progress, "held-out"), dict[int, LocalFeatures]()
     for done, i in enumerate(frames.tolist(), start=1):
         with suppress(ImageError):
-            sequence.image(i)
-            usable.append(i)
-            if model.looks_at_local_features:
-                local.append(frame_features(sequence, i))
+            local[i] = frame_features(sequence, i)
         if report is not None:
             report(done, len(frames))
-    files, cache = [sequence.image_paths[i] for i in usable], cache or FeatureCache(None)
-    features = extract_features(files, model.backbone, cache, stage_of(progress, "network"), sequence.noise)
-    answers = model.localize(FrameEvidence(features, local)) if usable else None
-    return np.array(usable, dtype=np.int64), answers
-
-
-def _depth(sequence: Recording) -> float:
-    """Of what the camera sees, from images and poses; NaN where it cannot be told."""
-    if sequence.truth is None:
-        return float("nan")
-    try:
-        return measure_depths(sequence, np.arange(len(sequence)))[0]
-    except ImageError:
-        return float("nan")
+    return local

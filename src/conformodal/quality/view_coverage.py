@@ -1,8 +1,8 @@
-"""Where a recording is sparse: views far from every known one, and neighbouring frames that are far apart."""
+"""Where a recording is sparse, fast or ambiguous: its views against known ones, each other, and its regions' places."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -11,8 +11,33 @@ from scipy.spatial import KDTree
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.geometry import PinholeCamera, Trajectory, angle_between_quats
+from conformodal.localizer.observations import Place
+from conformodal.localizer.regions import EvidenceType
+from conformodal.pipeline.model import Localization
 
-from .settings import QUALITY
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class QualitySettings:
+    """What counts as sparse, fast and ambiguous. Shares are of the field of view, see :class:`ViewScale`."""
+
+    # a view is sparsely covered where the nearest known one differs by more. Chosen on seeds 0 to 2 of redkitchen
+    # ``blocks``: of the limits tried, it tells errors over 0.1 m from others best (benchmarks/recording_quality.py)
+    sparse: float = 0.1
+    # neighbouring frames that differ by more are far apart: corners leave the picture between them, and images blur.
+    # Relative rotations were measured to half a degree with frames that differ by 0.12
+    # (benchmarks/results/relative_motion.md, every tenth frame of redkitchen), and not beyond
+    fast: float = 0.15
+    bridged: int = 5  # largest number of other frames between two stretches that count as one
+    apart: float = 1.0  # places of a region whose views differ by more show nothing in common: they are several
+    most_looked: int = 400  # held-out frames that are localized to see how ambiguous they are, evenly spread
+    most_after_training: int = 100  # the same at the end of training, which should not take much longer for it
+    most_advice: int = 3
+    most_share: float = 0.1  # of sparsely covered or of ambiguous frames in a recording that is good enough
+
+
+QUALITY = QualitySettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,17 +56,10 @@ class ViewScale:
     A camera that turns by its field of view sees nothing of what it saw; one that moves by d metres shifts things at
     the scene's depth as much as a turn by d / depth radians. The change of a view is the root of both squares, as a
     share of the field of view.
-
-    Attributes
-    ----------
-    depth_m
-        Median depth of what the camera sees.
-    fov_rad
-        The smaller of the two angles of view.
     """
 
-    depth_m: float
-    fov_rad: float
+    depth_m: float  # median depth of what the camera sees
+    fov_rad: float  # the smaller of the two angles of view
 
     @classmethod
     def of(cls, camera: PinholeCamera, depth_m: float) -> Self:
@@ -76,7 +94,7 @@ class Stretch:
 
     first: int  # frame
     last: int
-    place_xyz: tuple[float, float, float]  # where the view differs most, in metres
+    place_xyz: Point  # where the view differs most, in metres
     change: float  # there, as the next two; see :class:`ViewChange`
     distance_m: float
     angle_deg: float
@@ -118,12 +136,62 @@ def pose_coverage(
 
     return PoseCoverage(
         away.share,
-        [stretch(run, run[-1], away) for run in runs_of(sparse, recording)],
-        [stretch(run, run[-1] + 1, steps) for run in runs_of(fast, recording)],
+        [stretch(run, run[-1], away) for run in _runs_of(sparse, recording)],
+        [stretch(run, run[-1] + 1, steps) for run in _runs_of(fast, recording)],
     )
 
 
-def runs_of(chosen: BoolArray, recording: IntArray) -> Iterator[IntArray]:
+@dataclass(frozen=True)
+class AmbiguousStretch:
+    """Held-out frames whose regions hold several places."""
+
+    first: int
+    last: int
+    n_frames: int  # of those that were looked at
+    n_places: int  # most places that one of the regions holds
+    place_xyz: Point  # metres: the most probable place of the frame in the middle
+    alike_xyz: Point  # the one after it
+
+
+@dataclass(frozen=True, eq=False)
+class Ambiguity:
+    """Of m frames that no source of the regions has seen."""
+
+    frames: IntArray  # (m,) their numbers
+    n_places: IntArray  # (m,) places in each region; 0 where the region is unbounded in some target
+    n_unknown: int  # frames that show no known place, by the model's test
+    stretches: list[AmbiguousStretch]  # those with several places, in the order of time
+
+
+def ambiguity(frames: IntArray, recording: IntArray, answers: Localization, scale: ViewScale) -> Ambiguity:
+    """Count the places in the region of each of m held-out frames."""
+    unbounded = np.asarray(answers.regions.unbounded.any(axis=1))
+    places = [[] if unbounded[i] else _distinct(answers.regions.places(i), scale) for i in range(len(frames))]
+    n_places = np.array([len(several) for several in places], dtype=np.int64)
+    stretches = []
+    for run in _runs_of(n_places > 1, recording):
+        first, last, middle = int(frames[run[0]]), int(frames[run[-1]]), places[run[len(run) // 2]]
+        one, other = (place.position_xyz.tolist() for place in middle[:2])
+        stretches.append(AmbiguousStretch(first, last, len(run), int(n_places[run].max()), tuple(one), tuple(other)))
+    return Ambiguity(frames, n_places, int((answers.kinds == EvidenceType.UNKNOWN).sum()), stretches)
+
+
+def _distinct(places: Sequence[Place], scale: ViewScale) -> list[Place]:
+    """Of places with the most probable first, those whose views have nothing in common with a more probable one."""
+    distinct: list[Place] = []
+    for place in places:
+        if not distinct or scale.change(_poses([place] * len(distinct)), _poses(distinct)).share.min() > QUALITY.apart:
+            distinct.append(place)
+    return distinct
+
+
+def _poses(places: Sequence[Place]) -> Trajectory:
+    positions = np.array([place.position_xyz for place in places])
+    quats = np.array([place.orientation_quat_wxyz for place in places])
+    return Trajectory(np.arange(float(len(places))), positions, quats)
+
+
+def _runs_of(chosen: BoolArray, recording: IntArray) -> Iterator[IntArray]:
     """Runs (m,) of chosen frames of one recording; short gaps do not end a run."""
     frames = np.flatnonzero(chosen)
     if frames.size:

@@ -20,7 +20,7 @@ from conformodal.core.files import write_whole
 from conformodal.core.words import as_utf8
 from conformodal.geometry import Trajectory
 from conformodal.quality.examining import RecordingQuality
-from conformodal.quality.settings import QUALITY
+from conformodal.quality.view_coverage import QUALITY
 
 from .page import PAGE, render_page
 

@@ -20,10 +20,9 @@ from conformodal.core.extras import MissingPackageError
 from conformodal.geometry.lens import Fisheye
 from conformodal.io.streams import ros_messages
 from conformodal.io.streams.frames import SourceError
-from conformodal.pipeline.errors import OdometryError
+from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.estimates import Estimate
-from conformodal.pipeline.estimator import Odometry
-from conformodal.pipeline.paper import odometry_of
+from conformodal.pipeline.estimator import Odometry, odometry_of
 from conformodal.pipeline.store import load_model
 
 from .conversion import NANOSECONDS, TOPICS, Conventions, Conversion, RosError

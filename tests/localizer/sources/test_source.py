@@ -11,7 +11,7 @@ from conformodal.io import make_split
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.sources.landmarks import LandmarkSource
 from conformodal.localizer.sources.registry import SourceData
-from conformodal.pipeline.depths import measure_depths
+from conformodal.pipeline.training_data import measure_depths
 
 pytestmark = pytest.mark.slow  # maps a corridor
 
