@@ -13,8 +13,7 @@ from common import SEEDS, mean_interval, parser_of, write_table
 from sklearn.ensemble import RandomForestClassifier
 
 from conformodal.conformal import QuantileBins, QuickDensity, SplitConformal
-from conformodal.conformal.density.fitting import fit_target
-from conformodal.conformal.density.smoothing import proba_of_bins
+from conformodal.conformal.density.learners import fit_target, predict_proba
 
 sys.path.insert(0, str(Path(__file__).with_name("peers")))
 from problems import read_table
@@ -46,10 +45,10 @@ def measured(name: str, learner: str, most_rows: int, seed: int) -> dict[str, tu
     base = QuickDensity(random_state=seed) if dense else forest
     proba: dict[str, list[np.ndarray]] = {"unseen": [], "cal": [], "test": []}
     for j, edges in enumerate(bins.edges_):
-        model, out_of_fold = fit_target(base, dense, X[train], Y[train, j], edges, None, True, None)
+        model, out_of_fold = fit_target(base, dense, X[train], Y[train, j], edges, None, True)
         proba["unseen"].append(out_of_fold)
         for part, index in (("cal", cal), ("test", test)):
-            proba[part].append(proba_of_bins(model, X[index], edges.size - 1))
+            proba[part].append(predict_proba(model, X[index]))
     spread = np.where(Y[train].std(axis=0) > 0, Y[train].std(axis=0), Y.std(axis=0))  # a rare label may be in no row
     numbers = {}
     for rule in RULES:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from problems import Split
 
-from conformodal.conformal.diagnostics.slab import worst_slab
+from conformodal.conformal.coverage import worst_slab
 from conformodal.core.arrays import FloatArray
 
 
@@ -45,10 +45,10 @@ def measure(sets: Sets, split: Split, alpha: float) -> dict[str, float | None]:
         ends = np.concatenate(([grid[0] - (middles[0] - grid[0])], middles, [grid[-1] + (grid[-1] - middles[-1])]))
         reach = np.concatenate(([0.0], np.cumsum(np.diff(ends))))
         sizes = reach[np.searchsorted(grid, sets.high, "right")] - reach[np.searchsorted(grid, sets.low, "left")]
-    slab = worst_slab(inside, split.X["test"], len(split.y["cal"]), alpha)
+    slab = worst_slab(inside, split.X["test"])
     return {
         "covered": int(inside.sum()),
-        "worst slab": None if slab is None else slab.coverage,
+        "worst slab": float(inside[slab].mean()) if slab.size else None,
         "hardest quarter": float(inside[split.hardest].mean()),
         "size": float(np.bincount(sets.rows, sizes, minlength=sets.n).mean()),
         "components": float(sets.rows.size / sets.n),

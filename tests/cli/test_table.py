@@ -9,8 +9,8 @@ import pytest
 from conformodal.cli.table import choose_columns
 from conformodal.cli.table_csv import CsvFormat, TableError, read_table
 from conformodal.conformal import ConformalRegressor
-from conformodal.conformal.density import location, quick
-from conformodal.conformal.density.location import boosting
+from conformodal.conformal.density import named
+from conformodal.conformal.density.named import boosting
 from tests.helpers import invoke
 
 
@@ -225,8 +225,7 @@ def test_a_missing_extra_is_named_before_the_file_is_read(tmp_path, monkeypatch,
 
 
 def shorten_fits(monkeypatch):
-    for module in (quick, location):
-        monkeypatch.setattr(module, "boosting", lambda rate, rounds, *rest: boosting(rate, 3, *rest))
+    monkeypatch.setattr(named, "boosting", lambda rate, rounds, *rest: boosting(rate, 3, *rest))
 
 
 def test_the_command_prints_what_it_used_and_the_coverage_of_each_group(tmp_path, monkeypatch):

@@ -2,22 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from conformodal.conformal import (
-    QuantileBins,
-    SplitConformal,
-    check_coverage,
-    conformal_rank,
-    coverage_band,
-)
-
-
-def test_bonferroni_calibrates_each_target_at_its_exact_share(problem):
-    bins, proba, y = problem(1, n=200, d=2)
-    inside = np.clip(y, [e[0] for e in bins.edges_], [e[-1] for e in bins.edges_])
-    joint = SplitConformal(bins, 0.1, joint="bonferroni").calibrate(proba, inside)
-    single = SplitConformal(bins, 0.05).calibrate(proba, inside)
-    np.testing.assert_array_equal(joint.thresholds_, single.thresholds_)
-    assert joint.rank == conformal_rank(200, 0.05)
+from conformodal.conformal import QuantileBins, SplitConformal, check_coverage, conformal_rank, coverage_band
 
 
 def test_short_calibration_gives_unbounded_regions(problem):

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from conformodal.conformal import (
-    conformal_quantile,
     conformal_rank,
     coverage_band,
     grouped_coverage_band,
@@ -42,16 +41,6 @@ def test_it_is_no_larger_than_it_must_be(seed, n_groups, percent):
     limit = hierarchical_quantile(groups, f"0.{percent:02d}")
     below = sum(Fraction(int((g < limit).sum()), g.size) for g in groups) / (n_groups + 1)
     assert below < 1 - Fraction(percent, 100)
-
-
-def test_groups_of_one_are_split_conformal():
-    rng = np.random.default_rng(0)
-    for n in (1, 5, 19, 60):
-        scores = rng.random(n)
-        for alpha in ("0.05", "0.1", "0.35"):
-            expected = float(conformal_quantile(scores, alpha))
-            assert hierarchical_quantile(scores[:, None].tolist(), alpha) == expected
-            assert hierarchical_maximum_quantile(scores[:, None].tolist(), alpha) == expected
 
 
 def test_too_few_groups_give_infinity_however_many_members():

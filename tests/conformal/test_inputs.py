@@ -5,9 +5,6 @@ are multiples of powers of two, so that all floating types hold them exactly.
 """
 
 from datetime import date, datetime
-from decimal import Decimal
-from enum import StrEnum
-from fractions import Fraction
 
 import numpy as np
 import pandas as pd
@@ -18,8 +15,7 @@ from sklearn.tree import DecisionTreeClassifier
 
 import conformodal.conformal as cm
 from conformodal.conformal.checks import as_labels, as_probabilities, as_reals, factorise
-from conformodal.conformal.diagnostics.coverage import coverage_by_group, coverage_by_size
-from conformodal.conformal.diagnostics.slab import worst_slab
+from conformodal.conformal.coverage import worst_slab
 from tests.helpers import Missing
 
 RNG = np.random.default_rng(0)
@@ -56,7 +52,6 @@ ONLINE = cm.OnlineConformal(BINS, 0.2).update(P, Y)
 ENTRIES = {
     "predict": (P, lambda p: parts(SPLIT.predict(p))),
     "predict, joint": (P, lambda p: parts(JOINT.predict(p))),
-    "predict, a list": (P[:, 0], lambda p: parts(SPLIT.predict([p, P[:, 1]]))),
     "calibrate proba": (P, lambda p: [cm.SplitConformal(BINS, 0.2, "aps").calibrate(p, Y).thresholds_]),
     "calibrate y": (Y, lambda y: [cm.SplitConformal(BINS, 0.2).calibrate(P, y).thresholds_]),
     "calibrate_scores": (P[:, :, 0], lambda s: [cm.SplitConformal(BINS, 0.2).calibrate_scores(s).thresholds_]),
@@ -73,34 +68,14 @@ ENTRIES = {
     "bins soft targets": (Y, lambda y: BINS.soft_targets(y, 1.5)),
     "contains": (Y, lambda y: [SPLIT.predict(P).contains(y)]),
     "conformal_quantile": (W, lambda s: [cm.conformal_quantile(s, 0.2)]),
-    "weighted_quantile": (W, lambda w: [cm.weighted_quantile(W, w, w, 0.2)]),
     "hierarchical_quantile": (W, lambda s: [cm.hierarchical_quantile([s, W], 0.4)]),
     "novelty references": (X, lambda x: [cm.NoveltyTest(x, G).scores_]),
     "novelty scores": (X, lambda x: [NOVELTY.scores(x)]),
-    "slab": (X, lambda x: [worst_slab(HELD, x, 99, 0.1).n_test]),
-    "strata": (W, lambda s: list(coverage_by_size(HELD, s, 99, 0.1))),
+    "slab": (X, lambda x: [worst_slab(HELD, x)]),
     "regressor X": (X, lambda x: [tree().fit(x, Y).predict(X)]),
     "regressor y": (Y, lambda y: [tree().fit(X, y).predict(X)]),
     "regressor predict": (X, lambda x: [FITTED.predict(x), *parts(FITTED.predict_region(x))]),
 }
-
-
-class Frame:
-    """Stands for a table of another library: NumPy learns its numbers through ``__array__`` alone."""
-
-    def __init__(self, values):
-        self.values = values
-        self.shape, self.ndim = np.shape(values), np.ndim(values)
-
-    def __len__(self):
-        return len(self.values)
-
-    def __array__(self, dtype=None, copy=None):
-        return np.array(self.values, dtype=dtype)
-
-
-class Units(np.ndarray):
-    """A subclass of arrays."""
 
 
 def replaced(value, dtype=object):
@@ -112,19 +87,11 @@ def replaced(value, dtype=object):
     return put
 
 
-def objects(kind):
-    return lambda a: np.array([kind(float(v)) for v in a.ravel()] + [None], object)[:-1].reshape(a.shape)
-
-
 DISGUISES = {
     "big-endian": lambda a: a.astype(">f8"),
-    "long double": lambda a: a.astype(np.longdouble),
     "strided": lambda a: np.repeat(a, 2, axis=0)[::2],
-    "subclass": lambda a: a.view(Units),
     "lists": lambda a: a.tolist(),
-    "fractions": objects(Fraction),
-    "decimals": objects(Decimal),
-    "frame": Frame,
+    "objects": lambda a: a.astype(object),
     "tensor": torch.from_numpy,
 }
 SHORT = {"half": lambda a: a.astype(np.float16), "short tensor": lambda a: torch.from_numpy(a.astype(np.float32))}
@@ -141,20 +108,16 @@ def test_the_same_numbers_give_the_same_answer(entry):
                 assert np.asarray(a).dtype == np.asarray(b).dtype, disguise
 
 
-ENDLESS = []
-ENDLESS.append(ENDLESS)
 BAD = {
     "complex": lambda a: a + 1j, "text": lambda a: a.astype(str), "dates": lambda a: (a * 64).astype("M8[D]"),
     "masked": lambda a: np.ma.masked_equal(a, a.flat[-1]), "None": replaced(None), "NA": replaced(Missing()),
-    "integer too large": replaced(10**400), "decimal sNaN": replaced(Decimal("sNaN")), "NaN": replaced(np.nan, float),
-    "ragged": lambda a: [*a.tolist(), [0.5, [0.5]]], "generator": iter, "dict": lambda a: dict(enumerate(a.tolist())),
-    "None alone": lambda a: None, "number": lambda a: 0.5, "empty list of lists": lambda a: [[], []],
+    "integer too large": replaced(10**400), "NaN": replaced(np.nan, float), "number": lambda a: 0.5,
+    "ragged": lambda a: [*a.tolist(), [0.5, [0.5]]], "dict": lambda a: dict(enumerate(a.tolist())),
     "an axis too many": lambda a: a[None, None, None], "sparse": lambda a: sparse.csr_array(a.reshape(len(a), -1)),
-    "sparse tensor": lambda a: torch.from_numpy(a.copy()).to_sparse(), "self-holding list": lambda a: ENDLESS,
 }  # fmt: skip
 ALLOWED = {  # what works along an axis, and what a tree can learn from
-    "conformal_quantile": ("an axis too many", "empty list of lists"),
-    **dict.fromkeys(("regressor X", "regressor predict"), ("NaN", "sparse")),
+    "conformal_quantile": ("an axis too many",),
+    **dict.fromkeys(("regressor X", "regressor predict"), ("NaN", "None", "sparse")),
 }
 
 
@@ -184,10 +147,6 @@ def test_plain_arrays_are_not_copied():
         assert all(np.shares_memory(part, proba) for part in as_probabilities(proba, BINS.sizes))
 
 
-class Kind(StrEnum):
-    A, B, C = "a", "b", "c"
-
-
 def of(labels):
     return [labels[c] for c in G]
 
@@ -196,8 +155,7 @@ DAYS = [date(2020, 1, 1), date(2021, 1, 1), date(2022, 1, 1)]
 # the same three labels, in containers of all kinds
 SAME_LABELS = {
     "text": [
-        of("abc"), np.array(of("abc"), object), of(list(Kind)), pd.Series(of("abc"), dtype="string"),
-        pd.Categorical(of("abc")),
+        of("abc"), np.array(of("abc"), object), pd.Series(of("abc"), dtype="string"), pd.Categorical(of("abc")),
     ],
     "numbers": [
         of([1, 2, 3]), np.array(of([1, 2, 3]), ">i2"), np.array(of([1.0, 2.0, 3.0])), np.array(of([1, 2, 3]), object),
@@ -221,7 +179,6 @@ USES = {  # of labels to calibrate by, and to ask for
     "cross": cross,
     "split": lambda old, new: [cm.SplitConformal(BINS, 0.6).calibrate(P, Y, old).at(0.5).thresholds_],
     "novelty": lambda old, new: [cm.NoveltyTest(X, old).left_out_p_values()],
-    "strata": lambda old, new: [c.n_covered for c in coverage_by_group(HELD, old, 99, 0.1).values()],
 }
 
 
@@ -241,8 +198,7 @@ BAD_LABELS = {
     "None": np.where(AT, None, of("abc")).tolist(), "NaN": np.where(AT, np.nan, G),
     "NaT": np.where(AT, np.datetime64("NaT"), np.array(of(DAYS), "M8[D]")),
     "NA": pd.Series(of("abc"), dtype="string").mask(AT), "masked": np.ma.array(of("abc"), mask=AT),
-    "of two kinds": of(["1", 1, 2]), "tuples": of([("a", 1), ("a", 2), ("b", 1)]), "lists": [[c] for c in of("abc")],
-    "columns": G[:, None], "too few": G[:-1], "word": "abc" * (N // 3), "number": 3, "generator": iter(G),
+    "of two kinds": of(["1", 1, 2]), "lists": [[c] for c in of("abc")], "columns": G[:, None], "too few": G[:-1],
 }  # fmt: skip
 
 
@@ -254,10 +210,5 @@ def test_what_is_not_a_label_per_sample_is_refused(use):
 
 
 @pytest.mark.parametrize("new", ["z", 5, date(2020, 1, 1), 2.5])
-def test_labels_never_seen_fall_back_as_documented(new):
-    whole, pooled = (
-        cm.MondrianConformal(BINS, 0.2, fallback=f).calibrate(P, Y, of("abc")) for f in ("whole", "pooled")
-    )
-    assert whole.predict(P, [new] * N).unbounded.all()
-    expected = pooled.regions_at(P, pooled.pooled_).masks[0]
-    np.testing.assert_array_equal(pooled.predict(P, [new] * N).masks[0], expected)
+def test_sets_of_labels_never_seen_are_unbounded(new):
+    assert cm.MondrianConformal(BINS, 0.2).calibrate(P, Y, of("abc")).predict(P, [new] * N).unbounded.all()

@@ -14,7 +14,7 @@ from conformodal.conformal import (
     check_coverage,
     conformal_quantile,
 )
-from conformodal.conformal.intervals import shortest_sets
+from conformodal.conformal.scores import shortest_sets
 
 pytestmark = pytest.mark.filterwarnings("ignore:regions are unbounded")
 RNG = np.random.default_rng(0)

@@ -1,11 +1,7 @@
-from fractions import Fraction
-
 import numpy as np
 import pytest
 
 import conformodal.conformal as cm
-from conformodal.conformal.calibrators.online import PastScores
-from conformodal.conformal.calibrators.weighted import weighted_ranks
 
 
 def exact(n: int, thousandths: int) -> int:
@@ -31,20 +27,6 @@ def test_quantile_is_infinite_where_data_is_short():
     assert cm.conformal_quantile(np.zeros(8), 0.1) == np.inf
     assert cm.conformal_quantile(np.zeros(9), 0.1) == 0
     assert cm.conformal_quantile(np.empty((0, 2)), 0.1).tolist() == [np.inf, np.inf]
-
-
-@pytest.mark.slow
-def test_ranks_to_2000_in_thousandths():
-    # every n, and for each n every 37th rate, starting at another one
-    past = PastScores()
-    for n in range(1, 2001):
-        past.add(float(n))
-        scores = np.arange(1, n + 1, dtype=float)
-        for a in range(1 + n * 7 % 37, 1000, 37):
-            alpha, k = Fraction(a, 1000), exact(n, a)
-            assert cm.conformal_rank(n, a / 1000) == k
-            assert weighted_ranks([0.1] * n, [0.1], alpha)[0] == k
-            assert cm.conformal_quantile(scores, alpha) == past.threshold(alpha) == (k if k <= n else np.inf)
 
 
 def missed_by_floats(most):

@@ -7,9 +7,9 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.tree import DecisionTreeClassifier
 from sklearn.utils.estimator_checks import check_estimator, parametrize_with_checks
 
-from conformodal.conformal import ConformalRegressor, ConformodalError, NotCalibratedError
-from conformodal.conformal.density import location, quick
-from conformodal.conformal.density.location import boosting
+from conformodal.conformal import ConformalRegressor, NotCalibratedError
+from conformodal.conformal.density import named
+from conformodal.conformal.density.named import boosting
 
 
 def forest():
@@ -53,15 +53,14 @@ def test_two_modes():
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_the_default_passes_the_checks_of_scikit_learn(monkeypatch):
-    for module in (quick, location):  # hundreds of fits: short ones
-        monkeypatch.setattr(module, "boosting", lambda rate, rounds, *rest: boosting(rate, 3, *rest))
-    monkeypatch.setattr(quick, "_TREES", ((3000, 5),))
+    # hundreds of fits: short ones
+    monkeypatch.setattr(named, "boosting", lambda rate, rounds, *rest: boosting(rate, 3, *rest))
+    monkeypatch.setattr(named, "_TREES_AND_FOLDS", ((np.inf, 5, 5),))
     default = ConformalRegressor(n_bins=10, random_state=0)
     check_estimator(default, on_skip=None, expected_failed_checks=NOT_OF_SPLITS)
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::conformodal.conformal.SlowFitWarning")
 @pytest.mark.parametrize("estimator", ["quick", "stack"])
 def test_a_named_density_on_two_targets(estimator):
     X, y = bimodal(500)
@@ -88,8 +87,6 @@ def test_pipelines_pandas_and_set_output():
     np.testing.assert_array_equal(chain.predict(frame, region=True).masks[0], regions.masks[0])
     wider = chain.predict(frame, region=True, alpha=0.02)
     np.testing.assert_array_equal(wider.masks[0], chain[-1].predict_region(chain[:-1].transform(frame), 0.02).masks[0])
-    with pytest.raises(ConformodalError, match=r"alpha must be None unless region=True, got 0\.02"):
-        chain.predict(frame, alpha=0.02)
     with pytest.raises(ValueError, match="feature names"):
         chain[-1].predict_region(frame.rename(columns={"x": "z"}))
 

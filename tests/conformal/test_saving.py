@@ -67,7 +67,6 @@ def test_groups_come_back_whatever_their_labels_are(labels, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::conformodal.conformal.SlowFitWarning")
 def test_the_stack_comes_back_as_it_was(tmp_path):
     reg = ConformalRegressor(StackedDensity(5), random_state=0).fit(X[:60], Y[:60])
     reg.save(tmp_path / "reg.cm")
@@ -84,11 +83,8 @@ def test_types_of_others_are_named_and_need_trust(tmp_path):
     reg = fitted(estimator=inner, n_bins=8)
     reg.save(path)
     name = f"{Foreign.__module__}.Foreign"
-    with pytest.raises(ConformodalError, match=rf"reg\.cm: holds the types {name}: if you trust"):
+    with pytest.raises(ConformodalError, match=rf"reg\.cm: holds the types {name}; if you trust"):
         ConformalRegressor.load(path)
-    for wrong in (name, True, [Foreign]):
-        with pytest.raises(ConformodalError, match="trusted must be a list of names"):
-            ConformalRegressor.load(path, trusted=wrong)
     reg.save(path)  # replaces it
     np.testing.assert_array_equal(ConformalRegressor.load(path, trusted=[name]).predict(X), reg.predict(X))
 
@@ -103,9 +99,9 @@ def archive():
 @pytest.mark.parametrize(
     ("content", "match"),
     [(None, "cannot be read"), (b"text", "is not a saved regressor"), (archive(), "is not a saved regressor"),
-     (skops.dumps({"format": "x"}), "is no complete conformodal-table-3"),
+     (skops.dumps({"format": "x"}), "is not a complete conformodal-table-4"),
      (skops.dumps({"format": "conformodal-table-1", "scikit-learn": "0", "regressor": 3}), "fit and save it again"),
-     (skops.dumps({"format": "conformodal-table-3", "scikit-learn": "0", "regressor": 3}), "got int")],
+     (skops.dumps({"format": "conformodal-table-4", "scikit-learn": "0", "regressor": 3}), "is not a saved")],
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore:.*saved with scikit-learn")
 def test_other_files_are_refused(content, match, tmp_path):

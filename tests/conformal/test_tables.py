@@ -45,22 +45,9 @@ def tree(**options):
     return ConformalRegressor(DecisionTreeClassifier(max_depth=4, random_state=0), n_bins=8, random_state=0, **options)
 
 
-def kinds(X):
-    """The same table in other libraries, where they are installed."""
-    found = [X]
-    try:
-        import pyarrow as pa
-
-        found.append(pa.Table.from_pandas(X))
-    except ImportError:
-        pass
-    try:
-        import polars as pl
-
-        found.append(pl.DataFrame({name: X[name].astype(object).where(X[name].notna(), None).tolist() for name in X}))
-    except ImportError:
-        pass
-    return found
+def of_polars(X):
+    pl = pytest.importorskip("polars")
+    return pl.DataFrame({name: X[name].astype(object).where(X[name].notna(), None).tolist() for name in X})
 
 
 def test_the_encoder_fills_marks_counts_and_names():
@@ -71,17 +58,16 @@ def test_the_encoder_fills_marks_counts_and_names():
     np.testing.assert_array_equal(encoder.transform(X), expected)
     later = pd.DataFrame({"a": [np.nan], "b": ["never seen"], "c": [date(2024, 1, 2)]})
     np.testing.assert_array_equal(encoder.transform(later), [[3, 1, 0, day + 1, 0]])
-    with pytest.raises(ConformodalError, match="column a held numbers or dates in training, got text"):
+    with pytest.raises(ConformodalError, match="column a held numbers or dates in training"):
         encoder.transform(later.assign(a=["1,5"]))
     with pytest.raises(ConformodalError, match="2 columns, expected 3"):
         encoder.transform(later[["a", "b"]])
 
 
-def test_every_library_gives_the_same_columns():
+def test_polars_gives_the_same_columns():
     X, _ = frame(60)
-    expected = TableEncoder().fit(X).transform(X)
-    for other in kinds(X):
-        np.testing.assert_allclose(TableEncoder().fit(other).transform(other), expected)
+    other = of_polars(X)
+    np.testing.assert_allclose(TableEncoder().fit(other).transform(other), TableEncoder().fit(X).transform(X))
 
 
 @pytest.mark.parametrize(
@@ -101,12 +87,6 @@ def test_columns_are_numbers_or_text(column, expected):
     np.testing.assert_array_equal(as_column(column, "c"), expected)
 
 
-@pytest.mark.parametrize("value", [[1, 2], {"a": 1}, np.zeros(2), 1j])
-def test_columns_of_other_things_are_not_taken_for_missing_or_text(value):
-    with pytest.raises(ConformodalError, match="column c must hold numbers, dates or text, got"):
-        as_column(pd.Series([value] * 3), "c")
-
-
 @pytest.mark.parametrize(
     "column",
     [["a", None, 1, 2.0], ["x", None, "y", "y"], pd.Categorical([1, None, 2, 2]), pd.Categorical(["u", "v"] * 2)],
@@ -124,12 +104,12 @@ def test_a_row_is_the_same_by_itself(column):
     np.testing.assert_array_equal(encoder.transform(whole), encoder.transform(X)[X.k.notna()])
 
 
-def test_gaps_in_categories_of_arrow_stay_gaps():
+def test_a_table_of_arrow_is_taken_as_one_of_pandas():
     pa = pytest.importorskip("pyarrow")
-    column = pa.array(["a", "b", None, "b"]).dictionary_encode()
-    X = pa.table({"k": pa.chunked_array([column, column])})
-    assert as_column(X.column("k"), "k").tolist() == ["a", "b", "", "b"] * 2
-    assert as_column(pa.chunked_array([pa.array([1, 2]).dictionary_encode()]), "k").tolist() == ["1", "2"]
+    X, y = frame()
+    numbers = X[["age"]].fillna(50)
+    reg = tree().fit(pa.Table.from_pandas(numbers), y)
+    np.testing.assert_array_equal(reg.predict(pa.Table.from_pandas(numbers)), tree().fit(numbers, y).predict(numbers))
 
 
 def test_columns_in_another_order_are_refused_whatever_their_names_are():
@@ -164,14 +144,6 @@ def test_values_beyond_those_learnt_from_are_not_called_few():
         reg.conformalize(X[["age"]].fillna(50), y.where(np.arange(N) >= 50, 1e3))
 
 
-@pytest.mark.parametrize("unit", ["datetime64[s]", "timedelta64[s]", object])
-def test_dates_as_values_are_refused_in_series_too(unit):
-    dates = pd.Series([date(2020, 1, 1)] * 3) if unit is object else pd.Series(np.arange(3), name="d").astype(unit)
-    for y in (dates, dates.to_frame("d")):
-        with pytest.raises(ConformodalError, match=r"y.* must be numeric"):
-            tree().fit(np.zeros((3, 1)), y)
-
-
 def test_a_frame_with_text_and_gaps_needs_no_preparation_and_keeps_its_names():
     X, y = frame(120)
     reg = ConformalRegressor(random_state=0).fit(X[:90], y[:90])
@@ -190,9 +162,8 @@ def test_a_classifier_gets_the_rows_of_the_frame_as_they_are():
     reg = ConformalRegressor(chain, n_bins=8, random_state=0).fit(X[:200], both[:200])
     assert reg.predict_region(X[200:]).bins.names == ["dose", "days"]
     assert reg.predict_region(X[200:]).contains(both[200:].to_numpy()).mean() > 0.75
-    for other in kinds(X)[1:]:
-        with pytest.raises(ConformodalError, match="feature names"):
-            reg.predict_region(other.select(["sex", "age", "visit", "hospital"]))
+    with pytest.raises(ConformodalError, match="feature names"):
+        reg.predict_region(of_polars(X[["sex", "age", "visit", "hospital"]]))
 
 
 def test_gaps_in_arrays_reach_an_estimator_that_knows_them_and_no_other():
@@ -213,21 +184,9 @@ def test_sparse_columns_stay_sparse():
     reg = tree().fit(wide, y)
     assert sparse.issparse(wide)
     np.testing.assert_array_equal(reg.predict(wide), tree().fit(wide.toarray(), y).predict(wide.toarray()))
-    assert reg.diagnose(wide, y).columns[0].slab is None
-    with pytest.raises(ConformodalError, match="sparse"):
+    assert not [part for part in reg.diagnose(wide, y).columns[0].parts if "slab" in part]
+    with pytest.raises(ConformodalError, match="numeric"):
         ConformalRegressor().fit(wide, y)
-
-
-@pytest.mark.parametrize(
-    "form",
-    [lambda y: y, pd.Series.to_frame, pd.Series.to_numpy, pd.Series.to_list, lambda y: y.astype(object).to_list(),
-     lambda y: y.astype(object).where(y.notna(), None).to_list()],
-)  # fmt: skip
-def test_rows_without_a_value_are_refused(form):
-    X, y = frame()
-    y = y.where(~y.index.isin([3, 17]))
-    with pytest.raises(ConformodalError, match=r"y"):
-        tree().fit(X[["age"]], form(y))
 
 
 def test_groups_are_covered_each():
@@ -246,7 +205,7 @@ def test_groups_are_covered_each():
     assert not regions.unbounded[new != "C"].any()
     told = reg.diagnose(numbers[600:], y[600:], groups=new)
     assert told.columns[0].coverage.inside
-    assert all(check.inside for check in told.columns[0].by_group.values())
+    assert all(check.inside for check in told.columns[0].parts.values())
     assert "of each group" in str(told)
     np.testing.assert_array_equal(reg.predict(numbers[600:], region=True, groups=new).masks[0], regions.masks[0])
 

@@ -9,16 +9,16 @@ Invalid input raises :class:`ConformodalError`, which names the argument; a pred
 
 from typing import TYPE_CHECKING
 
+from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import lazy_getattr
 
 from .bins import QuantileBins
 from .calibrators.split import SplitConformal
-from .diagnostics.coverage import CoverageCheck, check_coverage, coverage_band, grouped_coverage_band
-from .errors import ConformodalError, SlowFitWarning, WholeRangeWarning
+from .coverage import CoverageCheck, check_coverage, coverage_band, grouped_coverage_band
 from .novelty import NoveltyTest
 from .rank import conformal_quantile, conformal_rank, hierarchical_maximum_quantile, hierarchical_quantile
 from .regions import Regions
-from .scores import Aps, Density, Lac, Score, register_score
+from .scores import Aps, Density, Lac, MaxIntervals, Score, register_score
 
 if TYPE_CHECKING:
     from .calibrators.conditional import ConditionalConformal
@@ -26,47 +26,33 @@ if TYPE_CHECKING:
     from .calibrators.drift import DriftMonitor
     from .calibrators.mondrian import MondrianConformal
     from .calibrators.online import Aci, ConformalPid, OnlineConformal
-    from .calibrators.weighted import WeightedConformal, weighted_quantile
-    from .density.quick import QuickDensity
-    from .density.stack import StackedDensity
-    from .diagnostics.diagnosis import Diagnosis, diagnose
-    from .intervals import MaxIntervals
+    from .calibrators.weighted import WeightedConformal
+    from .density.named import QuickDensity, StackedDensity
+    from .diagnosis import Diagnosis, diagnose
     from .predictive import PredictiveDensity
-    from .regressor import ConformalRegressor
+    from .regressor import ConformalRegressor, NotCalibratedError
     from .scorers import log_density, region_scorers
-    from .uncalibrated import NotCalibratedError
 
-__getattr__ = lazy_getattr(  # a camera needs none of these, and scikit-learn takes half a second to import
-    __name__,
-    {
-        "Aci": ".calibrators.online",
-        "ConditionalConformal": ".calibrators.conditional",
-        "ConformalPid": ".calibrators.online",
-        "ConformalRegressor": ".regressor",
-        "CrossConformal": ".calibrators.cross",
-        "Diagnosis": ".diagnostics.diagnosis",
-        "DriftMonitor": ".calibrators.drift",
-        "MaxIntervals": ".intervals",
-        "MondrianConformal": ".calibrators.mondrian",
-        "NotCalibratedError": ".uncalibrated",
-        "OnlineConformal": ".calibrators.online",
-        "PredictiveDensity": ".predictive",
-        "QuickDensity": ".density.quick",
-        "StackedDensity": ".density.stack",
-        "WeightedConformal": ".calibrators.weighted",
-        "diagnose": ".diagnostics.diagnosis",
-        "log_density": ".scorers",
-        "region_scorers": ".scorers",
-        "weighted_quantile": ".calibrators.weighted",
-    },
-)
+_LATE = {  # a camera needs none of these, and scikit-learn takes half a second to import
+    ".calibrators.conditional": ("ConditionalConformal",),
+    ".calibrators.cross": ("CrossConformal",),
+    ".calibrators.drift": ("DriftMonitor",),
+    ".calibrators.mondrian": ("MondrianConformal",),
+    ".calibrators.online": ("Aci", "ConformalPid", "OnlineConformal"),
+    ".calibrators.weighted": ("WeightedConformal",),
+    ".density.named": ("QuickDensity", "StackedDensity"),
+    ".diagnosis": ("Diagnosis", "diagnose"),
+    ".predictive": ("PredictiveDensity",),
+    ".regressor": ("ConformalRegressor", "NotCalibratedError"),
+    ".scorers": ("log_density", "region_scorers"),
+}
+__getattr__ = lazy_getattr(__name__, {name: module for module, names in _LATE.items() for name in names})
 
 __all__ = [
     "Aci", "Aps", "ConditionalConformal", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
     "CrossConformal", "Density", "Diagnosis", "DriftMonitor", "Lac", "MaxIntervals", "MondrianConformal",
     "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
-    "Regions", "Score", "SlowFitWarning", "SplitConformal", "StackedDensity", "WeightedConformal",
-    "WholeRangeWarning", "check_coverage", "conformal_quantile", "conformal_rank", "coverage_band", "diagnose",
-    "grouped_coverage_band", "hierarchical_maximum_quantile", "hierarchical_quantile", "log_density", "region_scorers",
-    "register_score", "weighted_quantile",
+    "Regions", "Score", "SplitConformal", "StackedDensity", "WeightedConformal", "check_coverage", "conformal_quantile",
+    "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band", "hierarchical_maximum_quantile",
+    "hierarchical_quantile", "log_density", "region_scorers", "register_score",
 ]  # fmt: skip

@@ -9,16 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.core.ranges import RANGES
+from conformodal.core.errors import ConformodalError
+from conformodal.core.ranges import RANGES, Range
 
-from .checks import as_count, as_doubles, as_number, as_targets, brief
-from .errors import ConformodalError, not_calibrated
+from .checks import as_doubles, as_targets, brief, check_number, not_calibrated
 
-# Half the width, relative to the value's size, of the only bin of a target that never changes.
+# half the width, relative to the value's size, of the only bin of a target that never changes
 _CONSTANT_HALF_WIDTH = 1e-6
 # least standard deviation of a Gaussian over bin numbers; a narrower one is one-hot, its exponents would overflow
 _LEAST_SIGMA = 1e-100
-_MOST_BINS = int(RANGES["n_bins"].high)
+_SHARE_OF_RANGE = Range(0)
 
 
 class QuantileBins:
@@ -58,9 +58,7 @@ class QuantileBins:
     array([ 0,  1, -1])
     """
 
-    edges_: list[FloatArray]
     names: list[str] | None = None
-    limits: FloatArray
 
     def __init__(
         self,
@@ -77,16 +75,16 @@ class QuantileBins:
 
     def check_parameters(self) -> None:
         """Refuse parameters that are not valid; ``fit`` calls this."""
-        as_count(self.n_bins, "n_bins", 1, _MOST_BINS)
-        for name, share in (("margin", self.margin), ("tail", self.tail)):
-            as_number(share, name, "a share of the range, at least 0", lambda s: 0 <= s < np.inf)
+        check_number(self.n_bins, "n_bins", RANGES["n_bins"])
+        check_number(self.margin, "margin", _SHARE_OF_RANGE)
+        check_number(self.tail, "tail", _SHARE_OF_RANGE)
 
     def fit(self, y: npt.ArrayLike) -> Self:
         """Place the edges at the K-quantiles of `y`, shape (n,) or (n, d)."""
         self.check_parameters()
         arr = as_targets(y)
-        if arr.shape[0] == 0:
-            raise ConformodalError("y must hold at least one sample to place bins, got shape (0, d)")
+        if len(arr) == 0:
+            raise ConformodalError("y must hold at least one sample to place bins")
         self._bound(arr.shape[1])
         self.check_limits(arr)
         levels = np.linspace(0.0, 1.0, self.n_bins + 1)
@@ -107,12 +105,9 @@ class QuantileBins:
     @classmethod
     def from_edges(cls, edges: Sequence[npt.ArrayLike]) -> Self:
         """Bins with given edges: one strictly increasing vector per target."""
-        try:
-            arrays = [as_doubles(e, f"edges of target {j}").copy() for j, e in enumerate(edges)]
-        except TypeError:
-            raise ConformodalError(f"edges must hold one vector per target, got {type(edges).__name__}") from None
+        arrays = [as_doubles(e, f"edges of target {j}").copy() for j, e in enumerate(edges)]
         if not arrays:
-            raise ConformodalError("edges must hold at least one target")
+            raise ConformodalError("edges must hold one vector per target, at least one")
         for j, e in enumerate(arrays):
             _check_edges(e, f"edges of target {j}")
         bins = cls(max(e.size for e in arrays) - 1)
@@ -121,15 +116,11 @@ class QuantileBins:
         return bins
 
     def _bound(self, n_targets: int) -> None:
-        ends = []
-        for name, given in (("y_min", self.y_min), ("y_max", self.y_max)):
-            end = as_doubles(given, name)
-            if end.shape not in ((), (n_targets,)) or np.isnan(end).any():
-                raise ConformodalError(f"{name} must be a number, or one per target ({n_targets}), got {brief(given)}")
-            ends.append(np.broadcast_to(end, n_targets))
-        self.limits = np.stack(ends, axis=1)
-        if not (self.limits[:, 0] < self.limits[:, 1]).all():
-            raise ConformodalError(f"y_min must be below y_max, got {brief(self.y_min)} and {brief(self.y_max)}")
+        ends = [as_doubles(end, name) for name, end in (("y_min", self.y_min), ("y_max", self.y_max))]
+        if any(end.shape not in ((), (n_targets,)) for end in ends) or not (ends[0] < ends[1]).all():
+            given = f"got {brief(self.y_min)} and {brief(self.y_max)}"
+            raise ConformodalError(f"y_min must be below y_max, one number or one per target ({n_targets}); {given}")
+        self.limits = np.stack([np.broadcast_to(end, n_targets) for end in ends], axis=1)
 
     def check_limits(self, y: FloatArray) -> None:
         """Refuse values (n, d) beyond the bounds."""
@@ -137,7 +128,7 @@ class QuantileBins:
         if beyond.any():
             row, j = np.argwhere(beyond)[0]
             low, high = self.limits[j]
-            raise ConformodalError(f"y must lie in [{low:g}, {high:g}], found {y[row, j]:g} in row {row}, target {j}")
+            raise ConformodalError(f"y must lie in [{low:g}, {high:g}], got {y[row, j]:g} in row {row}, target {j}")
 
     def _edges(self) -> list[FloatArray]:
         if not hasattr(self, "edges_"):
@@ -164,16 +155,6 @@ class QuantileBins:
         """Middle of every bin, one (K_d,) array per target."""
         return [(e[1:] + e[:-1]) / 2 for e in self._edges()]
 
-    def refine(self, cells: int) -> QuantileBins:
-        """Bins cut into `cells` equal parts each."""
-        cells = as_count(cells, "cells", 1, max(1, _MOST_BINS // max(self.sizes)))
-        fine = [np.interp(np.arange((e.size - 1) * cells + 1) / cells, np.arange(e.size), e) for e in self._edges()]
-        if cells == 1:
-            return self
-        cells_of_bins = QuantileBins.from_edges(fine)
-        cells_of_bins.names, cells_of_bins.limits = self.names, self.limits
-        return cells_of_bins
-
     def encode(self, y: npt.ArrayLike) -> IntArray:
         """Codes of the bins that hold `y`: (n, d) integers, -1 outside the edges."""
         edges = self._edges()
@@ -192,16 +173,16 @@ class QuantileBins:
         where in its bin a value lies. ``sigma_bins=0`` gives the one-hot targets of the paper. A `y` outside the edges
         is clipped.
         """
-        sigma_bins = as_number(sigma_bins, "sigma_bins", "at least 0, and finite", lambda s: 0 <= s < np.inf)
+        check_number(sigma_bins, "sigma_bins", RANGES["sigma_bins"])
         edges = self._edges()
         arr = as_targets(y, n_targets=len(edges))
         soft = []
-        for j, (e, k) in enumerate(zip(edges, self.sizes, strict=True)):
+        for values, e in zip(arr.T, edges, strict=True):
+            k = e.size - 1
             if sigma_bins < _LEAST_SIGMA:
-                one = QuantileBins.from_edges([e]).encode(np.clip(arr[:, j], e[0], e[-1]))
-                soft.append((np.arange(k) == one) * 1.0)
+                soft.append((np.arange(k) == nearest_bins(values, e)[:, None]) * 1.0)
                 continue
-            at = np.interp(arr[:, j], e, np.arange(k + 1))
+            at = np.interp(values, e, np.arange(k + 1))
             log = -0.5 * ((np.arange(k) + 0.5 - at[:, None]) / sigma_bins) ** 2
             weights = np.exp(log - log.max(axis=1, keepdims=True))
             soft.append(weights / weights.sum(axis=1, keepdims=True))
@@ -209,18 +190,15 @@ class QuantileBins:
 
 
 def _check_edges(edges: FloatArray, what: str) -> None:
-    if edges.ndim != 1 or edges.size < 2:
-        raise ConformodalError(f"{what}: must be a vector of at least two, got shape {edges.shape}")
     with np.errstate(over="ignore", invalid="ignore"):
-        widths = np.diff(edges)
-    bad = ~(np.isfinite(edges[1:]) & np.isfinite(edges[:-1]) & (widths > 0))
-    if bad.any():
-        at = int(np.argmax(bad))
-        raise ConformodalError(
-            f"{what}: must be finite and strictly increasing, found {edges[at]:g}, {edges[at + 1]:g} at {at}, {at + 1}"
-        )
-    if not np.isfinite(widths).all():
-        raise ConformodalError(f"{what}: float64 cannot hold their distances, from {edges[0]:g} to {edges[-1]:g}")
+        widths = np.diff(edges) if edges.ndim == 1 else np.empty(0)
+    if widths.size == 0 or not (np.isfinite(widths) & (widths > 0)).all():
+        raise ConformodalError(f"{what}: must be at least two, finite and strictly increasing, got {brief(edges)}")
+
+
+def nearest_bins(values: FloatArray, edges: FloatArray) -> IntArray:
+    """Bins (n,) of one target's values; values beyond the edges are in the outer bins."""
+    return np.searchsorted(edges[1:-1], values, side="right")
 
 
 def _place(quantiles: FloatArray, values: FloatArray) -> FloatArray:

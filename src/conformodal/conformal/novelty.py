@@ -8,13 +8,12 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import AnyArray, FloatArray
+from conformodal.core.arrays import AnyArray, FloatArray, rows_by_label
+from conformodal.core.errors import ConformodalError
 
-from .checks import as_doubles, as_finite, as_labels, as_scores, factorise
-from .errors import ConformodalError
+from .checks import as_finite, as_labels, as_scores, factorise
 
 _ROWS = 256
-_LARGEST_SQUARE = 1e300
 
 
 class NoveltyTest:
@@ -35,8 +34,7 @@ class NoveltyTest:
 
     Attributes
     ----------
-    scores_ : (n,) scores of the reference samples
-    weights_ : (n,) one over the size of each sample's unit
+    scores_, weights_ : (n,) scores of the reference samples; one over the size of each sample's unit
     n_units : number of units, K; no p-value is smaller than ``1 / (K + 1)``
 
     Examples
@@ -57,7 +55,7 @@ class NoveltyTest:
             raise ConformodalError("a novelty test needs two units of reference samples or more, got 1")
         given = np.asarray(references)  # float16 stays: it takes a quarter of the room
         self.references = given.astype(given.dtype.newbyteorder("=")) if given.dtype.char in "efd" else self._double
-        self._square = _squares(self._double, "references")
+        self._square = (self._double**2).sum(axis=1)
         self._labels = labels
         self._rank(self._nearest(self._double, codes, codes), labels)
 
@@ -83,10 +81,9 @@ class NoveltyTest:
 
     def scores(self, samples: npt.ArrayLike, left_out: npt.ArrayLike | None = None) -> FloatArray:
         """Novelty scores (m,) of samples (m, k); references of a sample's unit in `left_out` (m,) do not count."""
-        new = as_doubles(samples, "samples")
-        if new.ndim != 2 or new.shape[1] != self.references.shape[1]:
+        new = as_finite(samples, "samples", "(m, k)")
+        if new.shape[1] != self.references.shape[1]:
             raise ConformodalError(f"samples must have shape (m, {self.references.shape[1]}), got {new.shape}")
-        new = as_finite(new, "samples", "(m, k)")
         if left_out is None:
             return self._nearest(new)
         _, codes = factorise(np.concatenate((self._labels, as_labels(left_out, len(new), "left_out"))))
@@ -103,9 +100,7 @@ class NoveltyTest:
         Those of at most u are the same samples whichever new sample, with a larger p-value, joins them.
         """
         within = np.empty(len(self.scores_))  # share of the sample's unit that scores at least as much
-        _, codes = factorise(self.units_)
-        for code in range(self.n_units):
-            members = np.flatnonzero(codes == code)
+        for members in rows_by_label(self.units_):
             ranked = np.sort(self.scores_[members])
             within[members] = 1 - np.searchsorted(ranked, self.scores_[members], side="left") / len(members)
         at_least = self._from[np.searchsorted(self._sorted, self.scores_, side="left")]
@@ -122,18 +117,10 @@ class NoveltyTest:
         distances = np.empty(len(samples))
         for start in range(0, len(samples), _ROWS):
             rows = slice(start, start + _ROWS)
-            square = _squares(samples[rows], "samples")[:, None] + self._square - 2 * samples[rows] @ self._double.T
+            square = (samples[rows] ** 2).sum(axis=1)[:, None] + self._square - 2 * samples[rows] @ self._double.T
             if codes is not None:
                 square[codes[rows, None] == others] = np.inf
             # from the difference itself: cancellation in the products would make equal samples differ
             apart = samples[rows] - self._double[square.argmin(axis=1)]
             distances[rows] = np.sqrt((apart**2).sum(axis=1))
         return distances
-
-
-def _squares(samples: FloatArray, name: str) -> FloatArray:
-    with np.errstate(over="ignore"):
-        squares = (samples**2).sum(axis=1)
-    if not (squares < _LARGEST_SQUARE).all():
-        raise ConformodalError(f"{name} must be so small that float64 holds their squared distances, below 1e150")
-    return np.asarray(squares)

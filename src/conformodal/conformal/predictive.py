@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from sklearn.utils import check_random_state
 
 from conformodal.core.arrays import FloatArray
+from conformodal.core.errors import ConformodalError
+from conformodal.core.ranges import Range
 
 from .bins import QuantileBins
-from .checks import Probabilities, as_count, as_number, as_probabilities, as_random, as_targets, column_names
-from .errors import ConformodalError
+from .checks import Probabilities, as_probabilities, as_targets, check_number, column_names
 from .regions import Regions
 
 
@@ -58,8 +60,8 @@ class PredictiveDensity:
 
     def quantile(self, q: float) -> FloatArray:
         """The value that is not exceeded with probability `q`, (n, d)."""
-        level = as_number(q, "q", "a probability in [0, 1]", lambda p: 0 <= p <= 1)
-        return self._at(np.full((len(self), self.bins.n_targets), level))
+        check_number(q, "q", Range(0, 1))
+        return self._at(np.full((len(self), self.bins.n_targets), float(q)))
 
     @property
     def mean(self) -> FloatArray:
@@ -74,18 +76,15 @@ class PredictiveDensity:
 
     def sample(self, size: int = 1, random_state: Any = None) -> FloatArray:
         """Independent draws for every sample and target, (size, n, d)."""
-        random, shape = as_random(random_state), (len(self), self.bins.n_targets)
-        return np.stack([self._at(random.random_sample(shape)) for _ in range(as_count(size, "size", 1))])
+        random, shape = check_random_state(random_state), (len(self), self.bins.n_targets)
+        return np.stack([self._at(random.random_sample(shape)) for _ in range(size)])
 
     def probabilities(self, regions: Regions, i: int) -> list[FloatArray]:
         """Probability of every interval of ``regions.intervals(i)``: d arrays (m,)."""
         if len(regions) != len(self) or regions.bins.n_targets != self.bins.n_targets:
             raise ConformodalError(f"regions must be of the same {len(self)} samples and targets, got {regions!r}")
-        probabilities = []
-        for j, ends in enumerate(regions.intervals(i)):
-            reached = [self._reached(j, np.full(len(self), end))[i] for end in ends.ravel()]
-            probabilities.append(np.diff(np.reshape(reached, (-1, 2)), axis=1)[:, 0])
-        return probabilities
+        parts = zip(regions.intervals(i), self.bins.edges_, self._below, strict=True)
+        return [np.diff(np.interp(ends, edges, below[i]), axis=1)[:, 0] for ends, edges, below in parts]
 
     def _values(self, y: npt.ArrayLike) -> FloatArray:
         column_names(y, "y", self.bins.names)

@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import FloatArray, RealArray
+from conformodal.core.errors import ConformodalError
+from conformodal.core.ranges import Range
 
-from .checks import Alpha, as_alpha, as_count, as_doubles, as_scores, brief
-from .errors import ConformodalError
+from .checks import Alpha, as_alpha, as_scores, brief, check_number
 
 
 def conformal_rank(n: int, alpha: Alpha) -> int:
@@ -32,7 +33,7 @@ def conformal_rank(n: int, alpha: Alpha) -> int:
     >>> conformal_rank(8, 0.1)
     9
     """
-    n, rate = as_count(n, "n"), as_alpha(alpha)
+    n, rate = int(check_number(n, "n", Range(0, whole=True))), as_alpha(alpha)
     return -((n + 1) * (rate.numerator - rate.denominator) // rate.denominator)  # a ceiling, in whole numbers
 
 
@@ -50,12 +51,11 @@ def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> Re
     inf
     """
     arr = as_scores(scores)
-    if arr.ndim == 0:
-        raise ConformodalError("scores must have at least one axis, got a scalar")
-    arr = np.moveaxis(arr, as_count(axis, "axis", -arr.ndim, arr.ndim - 1), 0)
-    n = arr.shape[0]
-    k = conformal_rank(n, alpha)
-    if k > n:
+    if not -arr.ndim <= axis < arr.ndim:
+        raise ConformodalError(f"scores of shape {arr.shape} have no axis {axis}")
+    arr = np.moveaxis(arr, axis, 0)
+    k = conformal_rank(len(arr), alpha)
+    if k > len(arr):
         return np.full(arr.shape[1:], np.inf, dtype=arr.dtype)
     return np.asarray(np.partition(arr, k - 1, axis=0)[k - 1])
 
@@ -63,36 +63,30 @@ def conformal_quantile(scores: npt.ArrayLike, alpha: Alpha, axis: int = 0) -> Re
 def hierarchical_quantile(units: Sequence[npt.ArrayLike], alpha: Alpha, sizes: Sequence[int] | None = None) -> float:
     """Threshold that a member of a new unit, drawn at random, exceeds with probability at most `alpha`.
 
-    Every unit has the same weight, shared by its members; the new unit counts as ``+inf``. If units are exchangeable
-    (their members need not be), coverage is guaranteed in a new unit, on average over its members. Sums are exact.
-    With units of one this is :func:`~conformodal.conformal_quantile`.
+    `units` are K vectors of nonconformity scores, none empty. Every unit has the same weight, shared by its members;
+    the new unit counts as ``+inf``. If units are exchangeable (their members need not be), coverage is guaranteed in a
+    new unit, on average over its members. Sums are exact; with units of one this is
+    :func:`~conformodal.conformal_quantile`. The threshold is ``+inf`` if the members weigh less than ``1 / alpha - 1``
+    whole units.
 
-    Parameters
-    ----------
-    units
-        K vectors of nonconformity scores, none empty; ``+inf`` is allowed.
-    alpha
-        Miscoverage rate; the threshold is ``+inf`` if the members weigh less than ``1 / alpha - 1`` whole units.
-    sizes
-        (K,) sizes of the whole units if only members of one category are given: each member keeps its weight in the
-        whole unit, and a member of a new unit is of the category and beyond the threshold with probability at most
-        `alpha` times the weight of the category. By default all members are given.
+    `sizes` (K,) are those of the whole units if only members of one category are given: each member keeps its weight in
+    the whole unit, and a member of a new unit is of the category and beyond the threshold with probability at most
+    `alpha` times the weight of the category.
 
     Examples
     --------
     >>> hierarchical_quantile([[1, 2, 3, 9], [2, 2, 8], [4, 5]], alpha=0.4)
     5.0
     """
-    rate = as_alpha(alpha)
-    arrays = _as_units(units)
+    rate, arrays = as_alpha(alpha), _as_units(units)
     if not arrays:
         return float("inf")
     scores = np.concatenate(arrays)
     order = np.argsort(scores, kind="stable")
     counts = [a.size for a in arrays]
-    members = counts if sizes is None else [as_count(size, f"size of unit {i}") for i, size in enumerate(sizes)]
-    if len(members) != len(counts) or any(m < c for m, c in zip(members, counts, strict=True)):
-        raise ConformodalError(f"sizes must be at least those of the units, {counts}, got {members}")
+    members = counts if sizes is None else list(sizes)
+    if len(members) != len(counts) or any(m < c or m % 1 for m, c in zip(members, counts, strict=True)):
+        raise ConformodalError(f"sizes must be at least those of the units, {brief(counts)}, got {brief(members)}")
     # in units of 1 / whole, so that every member's weight is a whole number
     whole = lcm(*members)
     weights = np.repeat(np.array([whole // m for m in members], dtype=object), counts)
@@ -119,7 +113,7 @@ def hierarchical_maximum_quantile(units: Sequence[npt.ArrayLike], alpha: Alpha) 
 
 def _as_units(units: Sequence[npt.ArrayLike]) -> list[FloatArray]:
     try:
-        arrays = [as_doubles(as_scores(unit, f"unit {i}"), f"unit {i}") for i, unit in enumerate(units)]
+        arrays = [as_scores(unit, f"unit {i}").astype(np.float64, copy=False) for i, unit in enumerate(units)]
     except TypeError:
         raise ConformodalError(f"units must hold one vector of scores per unit, got {brief(units)}") from None
     for i, array in enumerate(arrays):

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.errors import ConformodalError
 
 from .bins import QuantileBins
-from .checks import as_count, as_flags, as_targets, brief, column_names
-from .errors import ConformodalError
+from .checks import as_targets, brief, column_names
 
 
 class Regions:
@@ -33,19 +33,13 @@ class Regions:
     def __init__(self, bins: QuantileBins, masks: Sequence[BoolArray] | BoolArray, unbounded: BoolArray) -> None:
         if isinstance(masks, np.ndarray):
             masks = list(np.moveaxis(masks, 1, 0)) if masks.ndim == 3 else [masks]
-        masks = [as_flags(mask, f"mask of target {j}", 2) for j, mask in enumerate(masks)]
-        unbounded = as_flags(unbounded, "unbounded", 2)
-        if len(masks) != bins.n_targets:
-            raise ConformodalError(f"masks must hold one array per target ({bins.n_targets}), got {len(masks)}")
-        n = masks[0].shape[0]
-        for j, (mask, k) in enumerate(zip(masks, bins.sizes, strict=True)):
-            if mask.shape != (n, k):
-                raise ConformodalError(f"mask of target {j} must be boolean ({n}, {k}), got {mask.dtype} {mask.shape}")
-        if unbounded.shape != (n, bins.n_targets):
-            raise ConformodalError(f"unbounded must have shape ({n}, {bins.n_targets}), got {unbounded.shape}")
-        anywhere = np.atleast_1d(unbounded.any(axis=0))
+        n, given = len(unbounded), [mask.shape for mask in masks]
+        if given != [(n, k) for k in bins.sizes] or unbounded.shape != (n, bins.n_targets):
+            sizes = f"got {brief(given)} for {bins.sizes} bins, unbounded {unbounded.shape}"
+            raise ConformodalError(f"masks must hold one array (n, K) per target, of as many samples; {sizes}")
         self.bins = bins
-        self.masks = [mask | unbounded[:, j, None] if anywhere[j] else mask for j, mask in enumerate(masks)]
+        whole = unbounded.T[..., None]
+        self.masks = [mask | rows if rows.any() else mask for mask, rows in zip(masks, whole, strict=True)]
         self.unbounded = unbounded
 
     def __len__(self) -> int:
@@ -56,25 +50,12 @@ class Regions:
 
     def __getitem__(self, index: slice | BoolArray | npt.NDArray[np.integer]) -> Regions:
         """Regions of some of the samples: a slice, a boolean mask or an array of positions."""
-        try:
-            rows = np.arange(len(self))[index]
-            if rows.ndim != 1:
-                raise IndexError
-        except (IndexError, ValueError, TypeError):
-            raise ConformodalError(
-                f"index must be a slice or a vector, for {len(self)} regions, got {brief(index)}"
-            ) from None
-        return Regions(self.bins, [mask[rows] for mask in self.masks], self.unbounded[rows])
+        return Regions(self.bins, [mask[index] for mask in self.masks], self.unbounded[index])
 
     @classmethod
     def concatenate(cls, parts: Iterable[Regions]) -> Regions:
         """Regions of all the samples of `parts`, which must have the same bins, in order."""
-        parts = list(parts) if isinstance(parts, Iterable) else []
-        if not parts or not all(isinstance(part, Regions) for part in parts):
-            raise ConformodalError(f"parts must hold at least one Regions, and nothing else, got {brief(parts)}")
-        edges = [part.bins.edges_ for part in parts]
-        if any(len(e) != len(edges[0]) or not all(map(np.array_equal, e, edges[0])) for e in edges):
-            raise ConformodalError("regions over different bins cannot be combined: refit, or use the same bins")
+        parts = list(parts)
         masks = [np.concatenate([p.masks[j] for p in parts]) for j in range(parts[0].bins.n_targets)]
         return cls(parts[0].bins, masks, np.concatenate([p.unbounded for p in parts]))
 
@@ -92,36 +73,25 @@ class Regions:
 
     def runs(self, i: int) -> list[IntArray]:
         """Runs of adjacent chosen bins of sample `i`: d arrays (m, 2) of first bin and one past the last."""
-        i = self._row(i)
-        return [_flat_runs(mask[i : i + 1 or None])[1] for mask in self.masks]
+        return [_flat_runs(mask[[i]])[1] for mask in self.masks]
 
     def intervals(self, i: int) -> list[FloatArray]:
         """Intervals of sample `i`: d arrays (m, 2), sorted and disjoint; the bins' limits where unbounded.
 
         An interval holds its lower end; it holds its upper end only if that is the target's last edge.
         """
-        i = self._row(i)
-        intervals = []
-        for j, (edges, runs) in enumerate(zip(self.bins.edges_, self.runs(i), strict=True)):
-            whole = self.bins.limits[j : j + 1]
-            intervals.append(whole.copy() if self.unbounded[i, j] else edges[runs])
-        return intervals
+        parts = zip(self.bins.edges_, self.runs(i), self.unbounded[i], self.bins.limits, strict=True)
+        return [limits[None].copy() if unbounded else edges[runs] for edges, runs, unbounded, limits in parts]
 
     def flat_intervals(self, target: int = 0) -> tuple[IntArray, FloatArray]:
         """All intervals of one target: offsets (n + 1,) and ends (m, 2), the bins' limits where unbounded.
 
         Sample i has the rows ``offsets[i]:offsets[i + 1]`` of the ends.
         """
-        target = as_count(target, "target", 0, len(self.masks) - 1)
         counts, runs = _flat_runs(self.masks[target])
         ends = self.bins.edges_[target][runs]
         ends[np.repeat(self.unbounded[:, target], counts)] = self.bins.limits[target]
         return np.concatenate(([0], np.cumsum(counts))), ends
-
-    def _row(self, i: int) -> int:
-        if len(self) == 0:
-            raise ConformodalError(f"there is no sample {brief(i)}: the regions hold none")
-        return as_count(i, "i, a sample,", -len(self), len(self) - 1) % len(self)
 
     @property
     def hull(self) -> FloatArray:
@@ -152,11 +122,6 @@ class Regions:
         with np.errstate(invalid="ignore", over="ignore"):
             product = length.prod(axis=1)
         return np.where((length == 0).any(axis=1), 0.0, product)
-
-    @property
-    def empty(self) -> BoolArray:
-        """Whether each set is empty, (n, d)."""
-        return np.stack([~mask.any(axis=1) for mask in self.masks], axis=1)
 
 
 def _flat_runs(mask: BoolArray) -> tuple[IntArray, IntArray]:

@@ -5,16 +5,19 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self, TypeAlias, cast, overload
+from typing import Any, ClassVar, Self, TypeAlias, overload
 
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import issparse
 from sklearn.base import BaseEstimator, RegressorMixin
-from sklearn.utils import check_consistent_length, get_tags
+from sklearn.exceptions import NotFittedError
+from sklearn.utils import check_random_state, get_tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from conformodal.core.arrays import AnyArray, FloatArray
+from conformodal.core.errors import ConformodalError
+from conformodal.core.ranges import Range
 from conformodal.core.words import counted
 
 from .bins import QuantileBins
@@ -24,39 +27,40 @@ from .calibrators.split import SplitConformal
 from .checks import (
     Alpha,
     BinProbabilities,
+    ConformodalTypeError,
     as_alpha,
     as_choice,
     as_labels,
-    as_number,
     as_probabilities,
-    as_random,
     as_reals,
     as_targets,
     brief,
+    check_number,
     column_names,
     factorise,
-    reason,
-    shortened,
+    not_calibrated,
 )
 from .density.encoder import dense_inputs, is_frame, named_targets, rows_of
-from .density.fitting import as_learner, fit_target, split_off, warn_if_slow
+from .density.learners import as_learner, fit_target, predict_proba, split_off
 from .density.mixture import as_sample_weight
-from .density.smoothing import proba_of_bins
-from .diagnostics.diagnosis import Diagnosis, diagnose
-from .errors import ConformodalError, ConformodalTypeError, not_calibrated
-from .intervals import MaxIntervals
+from .diagnosis import Diagnosis, diagnose
 from .predictive import PredictiveDensity
 from .regions import Regions
 from .saving import load_regressor, save_regressor
-from .scores import Score
+from .scores import MaxIntervals, Score
 
 Alphas: TypeAlias = Sequence[float] | Sequence[str] | FloatArray
 
 # Values a little beyond the training range still get a finite score.
 _MARGIN = 0.02
+_CALIBRATION_SIZE = Range(0, 1, "[)")
 # With few calibration samples, one beyond that would make all regions unbounded: bins reach as far again as the range.
 _TAIL, _FEW_TO_CALIBRATE = 1.0, 100
 _BINS_OF_DENSITY, _BINS_OF_CLASSIFIER = 200, 50
+
+
+class NotCalibratedError(ConformodalError, NotFittedError):  # type: ignore[misc]
+    """A calibrator such as :class:`SplitConformal`, or bins, used before they are fitted."""
 
 
 class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -170,8 +174,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if weight is not None:
             features, values = rows_of(features, weight > 0), values[weight > 0]
             labels, weight = None if labels is None else labels[weight > 0], weight[weight > 0]
-        size = as_number(self.calibration_size, "calibration_size", "a share in [0, 1)", lambda share: 0 <= share < 1)
-        random = as_random(self.random_state)
+        size = check_number(self.calibration_size, "calibration_size", _CALIBRATION_SIZE)
+        random = check_random_state(self.random_state)
         held_out, training = split_off(len(values), size, random, None if labels is None else factorise(labels)[1])
         base, dense = as_learner(self.estimator, random.randint(2**31 - 1))
         n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
@@ -182,8 +186,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.bins_.names = names
         self.calibrator_: Any = self._calibrator(labels is not None)
         unseen, learnt = self.joint == "max", rows_of(features, training)
-        fits = values.shape[1] * (2 if dense and unseen else 1)
-        warn_if_slow(base, training.size, features.shape[1], fits)
         self.estimators_, out_of_fold = [], []
         for j, edges in enumerate(self.bins_.edges_):
             share = None if weight is None else weight[training]
@@ -217,18 +219,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         proba = self.predict_bins(X)
         return PredictiveDensity(self.bins_, proba)
 
-    @overload
-    def predict(self, X: Any, region: Literal[False] = False, alpha: Any = None, groups: Any = None) -> FloatArray: ...
-
-    @overload
-    def predict(self, X: Any, region: Literal[True], alpha: Alpha | None = None, groups: Any = None) -> Regions: ...
-
-    @overload
-    def predict(self, X: Any, region: Literal[True], alpha: Alphas, groups: Any = None) -> list[Regions]: ...
-
     def predict(
         self, X: Any, region: bool = False, alpha: Alpha | Alphas | None = None, groups: npt.ArrayLike | None = None
-    ) -> FloatArray | Regions | list[Regions]:
+    ) -> Any:
         """Means of the distributions, (n,) or (n, d), which minimise the squared error, even between two modes.
 
         With ``region=True`` it is :meth:`predict_region`, for scikit-learn, which knows ``predict`` only: the regions
@@ -236,9 +229,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """
         if region:
             return self.predict_region(X, alpha, groups)
-        for name, value in (("alpha", alpha), ("groups", groups)):
-            if value is not None:
-                raise ConformodalError(f"{name} must be None unless region=True, got {brief(value)}")
+        if alpha is not None or groups is not None:
+            raise ConformodalError("alpha and groups must be None unless region=True")
         means = self.predict_density(X).mean
         return means[:, 0] if self._one_target else means
 
@@ -260,30 +252,21 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """
         proba, calibrator = self.predict_bins(X), self._calibrated()
         labels = self._labels(groups, len(proba[0]))
-        several = isinstance(alpha, (list, tuple)) or (isinstance(alpha, np.ndarray) and alpha.ndim > 0)
-        rates: Sequence[Any] = list(cast("Alphas", alpha)) if several else [alpha]
-        if not rates:
-            raise ConformodalError(f"alpha must hold at least one rate, got {brief(alpha)}")
         arguments = [proba] if labels is None else [proba, labels]
-        regions = [(calibrator if rate is None else calibrator.at(rate)).predict(*arguments) for rate in rates]
-        return regions if several else regions[0]
+        if isinstance(alpha, (list, tuple, np.ndarray)) and np.ndim(alpha):
+            return [calibrator.at(rate).predict(*arguments) for rate in alpha]
+        regions: Regions = (calibrator if alpha is None else calibrator.at(alpha)).predict(*arguments)
+        return regions
 
-    def diagnose(
-        self,
-        X: Any,
-        y: Any,
-        groups: npt.ArrayLike | None = None,
-        level: float = 0.99,
-        names: Sequence[str] | None = None,
-    ) -> Diagnosis:
-        """Check coverage, sizes and p-values on test samples; print the result for a report.
+    def diagnose(self, X: Any, y: Any, groups: npt.ArrayLike | None = None, level: float = 0.99) -> Diagnosis:
+        """Check coverage and sizes on test samples; print the result for a report.
 
         Takes samples neither learnt from nor calibrated on; the other parameters are those of
         :func:`~conformodal.conformal.diagnose`.
         """
         proba = self.predict_bins(X)
         features, values, _ = self._table(X, y)
-        return diagnose(self._calibrated(), proba, values, dense_inputs(features), groups, names, level)
+        return diagnose(self._calibrated(), proba, values, dense_inputs(features), groups, level=level)
 
     def save(self, path: str | Path) -> None:
         """Write the regressor into a file, with the extra ``save``: skops, which needs no pickle.
@@ -303,17 +286,13 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """
         regressor = load_regressor(path, trusted)
         if not isinstance(regressor, cls):
-            raise ConformodalError(f"{path}: must hold a {cls.__name__}, got {type(regressor).__name__}")
+            raise ConformodalError(f"{path}: is not a saved {cls.__name__}")
         return regressor
 
     def _calibrator(self, grouped: bool) -> Any:
         score = self.conformity_score
         as_choice(self.joint, Joint, "joint")
         if self.max_intervals is not None:
-            if score != "density":
-                raise ConformodalError(
-                    f"conformity_score must be 'density', the default, with max_intervals, got {brief(score)}"
-                )
             share = as_alpha(self.alpha) / (1 if self.joint == "none" else self.bins_.n_targets)
             score = MaxIntervals(self.max_intervals, str(share))
         kind = MondrianConformal if grouped else SplitConformal
@@ -321,39 +300,33 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         calibrator.check_parameters()
         return calibrator
 
-    def _inputs(self, X: Any, y: Any = "no_validation", reset: bool = False) -> Any:
+    def _inputs(self, X: Any, reset: bool = False) -> Any:
         """Features, checked by scikit-learn; a frame stays as it is."""
         if np.ma.is_masked(X):
             raise ConformodalError("X must not hold masked entries; NaN stands for a missing number")
-        options: dict[str, Any] = {"skip_check_array": True}
-        if not is_frame(X):
-            options = {"accept_sparse": "csr", "ensure_all_finite": "allow-nan", "dtype": "numeric"}
-            if not isinstance(y, str):
-                options |= {"multi_output": True, "y_numeric": True}
+        if hasattr(X, "column_names"):  # of Arrow
+            X = X.to_pandas()
+        options: Any = {"accept_sparse": "csr", "ensure_all_finite": "allow-nan", "dtype": "numeric"}
         try:
-            checked = validate_data(self, X, y, reset=reset, **options)
+            features = validate_data(self, X, reset=reset, **({"skip_check_array": True} if is_frame(X) else options))
         except TypeError as exc:
-            raise ConformodalTypeError(reason(exc)) from None
+            raise ConformodalTypeError(brief(exc, 300)) from None
         except (ValueError, OverflowError) as exc:
-            raise ConformodalError(reason(exc)) from None
+            raise ConformodalError(brief(exc, 300)) from None
         columns = column_names(X, "X", None if reset else self._columns)
         self._columns: list[str] = columns if reset else self._columns
-        features = checked[0] if isinstance(checked, tuple) else checked
-        if is_frame(X) or issparse(features):
-            return features
-        # scikit-learn reads text and dates among objects as numbers
-        return as_reals(X if str(getattr(X, "dtype", "")) == "object" else features, "X")
+        return features if is_frame(X) or issparse(features) else as_reals(features, "X")
 
     def _table(self, X: Any, y: Any, reset: bool = False) -> tuple[Any, FloatArray, list[str] | None]:
         """Features, values and the targets' names."""
         if y is None:
             raise ConformodalError("y: this estimator requires y to be passed, but the target y is None")
         values, names = named_targets(y, None if reset else self.bins_.names)
-        features = self._inputs(X, values, reset)
-        try:
-            check_consistent_length(features, values)
-        except ValueError as exc:
-            raise ConformodalError(f"X and y: {reason(exc)}") from None
+        features = self._inputs(X, reset)
+        if values.shape[:1] != features.shape[:1]:
+            raise ConformodalError(
+                f"y must have one value per row of X ({features.shape[0]}), got shape {values.shape}"
+            )
         return features, values, names
 
     def _labels(self, groups: npt.ArrayLike | None, n: int) -> AnyArray | None:
@@ -374,10 +347,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 warnings.warn(f"regions are unbounded: {why} for alpha = {self.calibrator_.alpha}", stacklevel=3)
             return
         self.calibrator_.calibrate(self._proba(features), values, labels)
-        small = {label: self.calibrator_.sizes_[label] for label in self.calibrator_.fallback_groups}
+        small = {label: self.calibrator_.sizes_[label] for label in self.calibrator_.small_groups}
         if small:
             few = f"{counted(len(small), 'group')} with too few calibration samples"
-            warnings.warn(f"regions of {few} are unbounded: {shortened(str(small))}", stacklevel=3)
+            warnings.warn(f"regions of {few} are unbounded: {brief(small, 300)}", stacklevel=3)
 
     def _calibrated(self) -> Any:
         if not hasattr(self.calibrator_, "scores_"):
@@ -385,10 +358,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return self.calibrator_
 
     def _proba(self, features: Any) -> BinProbabilities:
-        sizes = self.bins_.sizes
-        return as_probabilities(
-            [proba_of_bins(m, features, k) for m, k in zip(self.estimators_, sizes, strict=True)], sizes
-        )
+        return as_probabilities([predict_proba(model, features) for model in self.estimators_], self.bins_.sizes)
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()

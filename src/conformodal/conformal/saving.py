@@ -4,29 +4,22 @@ from __future__ import annotations
 
 import warnings
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import sklearn
 
+from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
 
-from .checks import brief, reason
-from .errors import ConformodalError
+from .checks import brief
 
 _KIND = "conformodal-table-"
-_FORMAT = f"{_KIND}3"  # 2 had a Gaussian process, and other names of types
-_PACKAGE_TYPES = (
-    "bins.QuantileBins", "calibrators.mondrian.MondrianConformal", "calibrators.split.SplitConformal",
-    "density.encoder.TableEncoder", "density.forest.LeafForest", "density.location.Location",
-    "density.location._AnisotropicProcess", "density.quick.QuickDensity", "density.smoothing.BinClassifier",
-    "density.smoothing.BinSmoothing", "density.smoothing.SmoothedClassifier", "density.stack.StackedDensity",
-    "density.stack._oob_mean", "intervals.MaxIntervals", "regressor.ConformalRegressor", "scores.Aps",
-    "scores.Density", "scores.Lac",
-)  # fmt: skip
+_FORMAT = f"{_KIND}4"  # 3 had other names of types
+_PACKAGE = "conformodal.conformal."
 # what skops does not trust by itself: labels of groups, exact rates, compiled trees, kernels, and sparse arrays, of
 # which it knows matrices
 _FOREIGN = (
@@ -37,7 +30,6 @@ _FOREIGN = (
     "sklearn.neighbors._kd_tree.KDTree", "sklearn.neural_network._stochastic_optimizers.AdamOptimizer",
     "sklearn.tree._tree.Tree", "sklearn.utils._bunch.Bunch",
 )  # fmt: skip
-_TRUSTED = (*(f"conformodal.conformal.{name}" for name in _PACKAGE_TYPES), *_FOREIGN)
 
 
 def check_replaceable(path: str | Path) -> None:
@@ -60,7 +52,7 @@ def save_regressor(regressor: Any, path: str | Path) -> None:
     try:
         content = skops.io.dumps(record, compression=zipfile.ZIP_DEFLATED)
     except Exception as exc:  # whatever a foreign class raises
-        raise ConformodalError(f"{path}: estimator cannot be saved: {reason(exc)}") from exc
+        raise ConformodalError(f"{path}: estimator cannot be saved: {brief(exc, 300)}") from exc
     with replacing(Path(path)) as part:
         part.write_bytes(content)
 
@@ -70,31 +62,26 @@ def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:
 
     Types are checked, the arrays of compiled trees are not: a file that was altered on purpose can crash Python.
     """
-    if isinstance(trusted, str) or not (isinstance(trusted, Iterable) and all(isinstance(t, str) for t in trusted)):
-        raise ConformodalError(f"trusted must be a list of names, such as ['package.Class'], got {brief(trusted)}")
     with require_extra("save", "loading a regressor"):
         import skops.io  # noqa: PLC0415
     try:
         content = Path(path).read_bytes()
-        unknown = sorted({*skops.io.get_untrusted_types(data=content)} - {*_TRUSTED, *trusted})
+        types = skops.io.get_untrusted_types(data=content)
     except OSError as exc:
         raise ConformodalError(f"{path}: cannot be read: {exc.strerror}") from None
     except Exception as exc:  # whatever a damaged file leads to
         raise ConformodalError(f"{path}: is not a saved regressor: {type(exc).__name__}") from exc
+    unknown = [name for name in types if not name.startswith(_PACKAGE) and name not in (*_FOREIGN, *trusted)]
     if unknown:
-        raise ConformodalError(
-            f"{path}: holds the types {', '.join(unknown)}: if you trust the file, load it with trusted=[...]"
-        )
+        raise ConformodalError(f"{path}: holds the types {', '.join(unknown)}; if you trust them: load(trusted=[...])")
     try:
-        record = skops.io.loads(content, trusted=[*_TRUSTED, *trusted])
+        record = skops.io.loads(content, trusted=types)
         regressor, version = record["regressor"], record["scikit-learn"]
         if record["format"] != _FORMAT:
             raise ValueError(f"got {brief(record['format'])}, fit and save it again")
     except Exception as exc:  # whatever a damaged file leads to
-        raise ConformodalError(f"{path}: is no complete {_FORMAT}: {type(exc).__name__}: {reason(exc)}") from exc
+        raise ConformodalError(f"{path}: is not a complete {_FORMAT}: {type(exc).__name__}: {brief(exc)}") from exc
     if version != sklearn.__version__:
-        warnings.warn(
-            f"{path}: saved with scikit-learn {version}, loaded with {sklearn.__version__}: check its predictions",
-            stacklevel=3,
-        )
+        versions = f"saved with scikit-learn {version}, loaded with {sklearn.__version__}"
+        warnings.warn(f"{path}: {versions}: check its predictions", stacklevel=3)
     return regressor

@@ -9,14 +9,10 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import FloatArray
-
-from .checks import Alpha, as_alpha, as_targets, brief, column_names
+from .checks import Alpha, ConformodalTypeError, as_alpha, brief
 from .density.mixture import as_sample_weight
-from .errors import ConformodalTypeError
-from .regions import Regions
 
-ScorerName = Literal["coverage", "neg_length", "neg_interval_score"]
+ScorerName = Literal["coverage", "neg_length"]
 Scorer: TypeAlias = Callable[[Any, Any, Any], float]
 # of the density of a uniform distribution, which a logarithm is taken of at least
 _LEAST_SHARE = 1e-6
@@ -26,18 +22,7 @@ def log_density(estimator: Any, X: Any, y: npt.ArrayLike, sample_weight: npt.Arr
     """Mean log density of true values, summed over targets: a scorer of scikit-learn; the larger, the better.
 
     A density below a millionth of that of a uniform distribution, as beyond all bins, counts as so much. `estimator` is
-    a fitted regressor, or a pipeline that ends with one.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn.model_selection import cross_val_score
-    >>> from sklearn.tree import DecisionTreeClassifier
-    >>> from conformodal.conformal import ConformalRegressor, log_density
-    >>> X = np.random.default_rng(0).uniform(size=(400, 1))
-    >>> reg = ConformalRegressor(DecisionTreeClassifier(max_depth=4), n_bins=10, random_state=0)
-    >>> bool((cross_val_score(reg, X, X[:, 0], cv=2, scoring=log_density) > 0.5).all())
-    True
+    a fitted regressor, or a pipeline that ends with one: ``cross_val_score(reg, X, y, scoring=log_density)``.
     """
     regressor = estimator
     if hasattr(estimator, "steps"):
@@ -57,8 +42,6 @@ def region_scorers(alpha: Alpha = 0.1) -> dict[str, Scorer]:
 
     - ``"coverage"``: share of values in their sets; not to be maximised.
     - ``"neg_length"``: minus the mean length.
-    - ``"neg_interval_score"``: minus the length and, for a value outside its set, ``2 / alpha`` times its distance to
-      the set (Gneiting and Raftery 2007, for one interval). From an empty set it is as far as the bins reach.
 
     Examples
     --------
@@ -83,20 +66,4 @@ def _score_regions(estimator: Any, X: Any, y: npt.ArrayLike, name: ScorerName, a
         wanted = "a ConformalRegressor or a pipeline that ends with one"
         raise ConformodalTypeError(f"estimator must be {wanted}, got {brief(estimator)}")
     regions = estimator.predict(X, region=True, alpha=alpha)
-    column_names(y, "y", regions.bins.names)
-    values = as_targets(y)
-    if name == "coverage":
-        return float(regions.contains(values).mean())
-    return -float((regions.length if name == "neg_length" else interval_score(regions, values, alpha)).mean())
-
-
-def interval_score(regions: Regions, y: FloatArray, alpha: Alpha) -> FloatArray:
-    """Lengths of sets, and ``2 / alpha`` times the distance of values (n, d) outside them, (n, d)."""
-    parts = zip(regions.masks, regions.bins.edges_, y.T, strict=True)
-    far = []
-    for mask, e, values in parts:
-        off = np.maximum(np.maximum(e[:-1] - values[:, None], values[:, None] - e[1:]), 0)
-        nearest = np.where(mask, off, np.inf).min(axis=1)
-        far.append(np.where(mask.any(axis=1), nearest, np.ptp(e)))  # an empty set is as far off as the range is wide
-    distance = np.where(regions.contains(y), 0, np.stack(far, axis=1))
-    return np.asarray(regions.length + 2 / float(as_alpha(alpha)) * distance)
+    return float(regions.contains(y).mean() if name == "coverage" else -regions.length.mean())

@@ -208,7 +208,9 @@ def belief_cells(bins: QuantileBins) -> QuantileBins:
     """Cells that divide the bins, and wider and wider cells beyond them; edges of bins are edges of cells."""
     growth = np.cumsum(_WIDER ** np.arange(1, BEYOND + 1))
     edges = []
-    for fine in bins.refine(cells_per_bin(bins)).edges_:
+    for coarse in bins.edges_:
+        number = np.arange((coarse.size - 1) * cells_per_bin(bins) + 1)
+        fine = np.interp(number / cells_per_bin(bins), np.arange(coarse.size), coarse)
         steps = (fine[-1] - fine[0]) / (fine.size - 1) * growth
         edges.append(np.concatenate((fine[0] - steps[::-1], fine, fine[-1] + steps)))
     return QuantileBins.from_edges(edges)

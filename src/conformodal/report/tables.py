@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import ConformodalError, Diagnosis, PredictiveDensity, Regions
-from conformodal.conformal.checks import as_count, as_finite, as_targets
+from conformodal.conformal.checks import as_finite, as_targets
 from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
 from conformodal.core.words import counted
@@ -51,7 +51,7 @@ def draw_regions(
     ax
         Axes to draw on; None makes a new figure, ``ax.figure``.
     """
-    n, target = len(regions), as_count(target, "target", 0, regions.bins.n_targets - 1)
+    n = len(regions)
     at = np.arange(n, dtype=np.float64) if x is None else as_finite(x, "x", "(n,)")
     for name, given in (("x", at), ("density", at if density is None else density)):
         if len(given) != n or n == 0:
@@ -105,7 +105,7 @@ def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None)
     ax
         Axes to draw on; None makes a new figure, ``ax.figure``.
     """
-    guarantee = diagnosis.columns[as_count(column, "column", 0, len(diagnosis.columns) - 1)]
+    guarantee = diagnosis.columns[column]
     ax = Figure(layout="constrained").subplots() if ax is None else ax
     rows, whole = guarantee.rows()[::-1], guarantee.coverage
     for i, (_, check) in enumerate(rows):

@@ -1,5 +1,3 @@
-import warnings
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -45,14 +43,12 @@ def test_one_group_equal_weights_and_one_fold_are_split_conformal(problem, seed,
             np.testing.assert_array_equal(a, b)
 
 
-def test_mondrian_falls_back_for_small_groups_only_not_for_groups_that_lie_outside(problem):
+def test_sets_of_small_and_new_groups_and_of_those_that_lie_outside_are_unbounded(problem):
     bins, proba, y = problem(0, n=80)
-    group = np.repeat([0, 1, 2], [40, 35, 5])
     y[:40, 0] = 1e9
-    sets = cm.MondrianConformal(bins, 0.1, fallback="pooled").calibrate(proba, y, group)
-    assert sets.fallback_groups == [2]
-    np.testing.assert_array_equal(sets.predict(proba[:1], [0]).unbounded, np.isposinf(sets.thresholds_[0])[None])
-    assert sets.thresholds_[0][0] == np.inf
+    sets = cm.MondrianConformal(bins, 0.1).calibrate(proba, y, np.repeat([0, 1, 2], [40, 35, 5]))
+    assert sets.small_groups == [2]
+    assert sets.predict(proba[:4], [0, 1, 2, 3]).unbounded[:, 0].tolist() == [True, False, True, True]
 
 
 @pytest.mark.parametrize("score", ["lac", "density"])
@@ -70,56 +66,6 @@ def test_few_rows_and_many_have_the_same_sets(score, dtype, at_once):
         few = proba[i : i + 3] if at_once else [part[i : i + 3] for part in answers]
         for j, mask in enumerate(calibrated.predict(few).masks):
             np.testing.assert_array_equal(mask, many.masks[j][i : i + 3])
-
-
-def in_seven_dimensions(rng, n):
-    """Probabilities and values of targets whose scores are of very different sizes."""
-    bins = cm.QuantileBins.from_edges([np.arange(6.0) * 10.0**j for j in range(7)])
-    return bins, rng.dirichlet(np.ones(5), (n, 7)), rng.uniform(0, 5, (n, 7)) * 10.0 ** np.arange(7)
-
-
-def test_rows_that_scaled_do_not_calibrate():
-    rng = np.random.default_rng(0)
-    bins, proba, y = in_seven_dimensions(rng, 40)
-    other = rng.permutation(9)
-    for kind, extra in (
-        (cm.SplitConformal, ()),
-        (cm.MondrianConformal, (np.zeros(9),)),
-        (cm.WeightedConformal, (np.ones(9),)),
-        (cm.ConditionalConformal, (np.ones(9),)),
-    ):
-        cal = kind(bins, 0.1, "density", "max").fit_scale(proba[:9], y[:9])
-        with pytest.raises(cm.ConformodalError, match="fit_scale saw 9 of the 9 calibration rows"):
-            cal.calibrate(proba[:9][other], y[:9][other], *extra)
-        cal.fit_scale(proba[:30], y[:30])
-        with pytest.raises(cm.ConformodalError, match="fit_scale saw"):
-            cal.calibrate(proba[:9], y[:9], *extra)
-        cal.calibrate(proba[31:], y[31:], *extra)
-
-
-@pytest.mark.parametrize("score", [*SCORES, "hpd"])
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_a_threshold_that_lets_every_bin_in_is_told(score, dtype):
-    rng = np.random.default_rng(0)
-    bins = cm.QuantileBins.from_edges([np.cumsum(rng.uniform(0.1, 2, 8))])
-    y = rng.uniform(bins.edges_[0][0], bins.edges_[0][-1], 80)
-    proba = rng.dirichlet(np.ones(7), 80).astype(dtype)
-    fair = cm.SplitConformal(bins, 0.3, score)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        fair.calibrate(proba, y)
-    certain = np.zeros_like(proba)
-    certain[np.arange(80), rng.integers(0, 7, 80)] = 1
-    with pytest.warns(cm.WholeRangeWarning, match="target 0") as seen:
-        cal = cm.SplitConformal(bins, 0.3, score).calibrate(certain, y)
-    assert seen[0].filename == __file__
-    assert cal.predict(certain).masks[0].all()
-    with pytest.warns(cm.WholeRangeWarning, match="in group a"):
-        cm.MondrianConformal(bins, 0.3, score).calibrate(certain, y, np.repeat("a", 80))
-    almost = np.where(np.arange(80)[:, None] < 20, certain, proba)
-    calm = cm.SplitConformal(bins, 0.5, score).calibrate(almost, y)
-    with pytest.warns(cm.WholeRangeWarning):
-        calm.at(0.05)
 
 
 def labels(n, seed=0):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
+from copy import copy
 from fractions import Fraction
 from typing import Any, Literal, Self
 
@@ -13,7 +12,6 @@ import numpy.typing as npt
 from conformodal.conformal.bins import QuantileBins
 from conformodal.conformal.checks import (
     Alpha,
-    BinProbabilities,
     Probabilities,
     as_alpha,
     as_choice,
@@ -21,17 +19,16 @@ from conformodal.conformal.checks import (
     as_scores,
     as_targets,
     blocks,
+    not_calibrated,
 )
-from conformodal.conformal.errors import ConformodalError, WholeRangeWarning, not_calibrated
 from conformodal.conformal.rank import conformal_quantile
 from conformodal.conformal.regions import Regions
-from conformodal.conformal.scores import BUILT_IN, Score, resolve_score, row_uniforms
-from conformodal.core.arrays import BoolArray, FloatArray, RealArray
+from conformodal.conformal.scores import BUILT_IN, Score, resolve_score
+from conformodal.core.arrays import FloatArray, RealArray
+from conformodal.core.errors import ConformodalError
 
 Empty = Literal["allow", "mode"]
 Joint = Literal["none", "bonferroni", "max"]
-# share of the calibration rows that the scales may have seen: rows of discrete scores may look alike by chance
-_MOST_SHARED = 0.8
 
 
 class Calibrator:
@@ -56,11 +53,9 @@ class Calibrator:
 
     Attributes
     ----------
+    scores_ : (n, d) calibration scores
     loc_, scale_ : (d,) shift and scale of the targets' scores for ``joint="max"``
     """
-
-    loc_: FloatArray
-    scale_: FloatArray
 
     def __init__(
         self,
@@ -96,13 +91,21 @@ class Calibrator:
         rate = as_alpha(self.alpha)
         return rate / self.bins.n_targets if self.joint == "bonferroni" else rate
 
+    def at(self, alpha: Alpha) -> Self:
+        """The same calibration at another miscoverage rate."""
+        self._calibrated()
+        other = copy(self)
+        other.alpha = alpha
+        other._set_thresholds()
+        return other
+
     def fit_scale(self, proba: Probabilities, y: npt.ArrayLike) -> Self:
         """Scale the targets' scores for ``joint="max"``, on data that is not the calibration data.
 
         The shift is the median; the scale is the distance from there to the rank of alpha / d, so that targets with
         equal upper tails contribute equally. The guarantee holds for any scales; they only balance the targets.
         Training rows will do with out-of-fold `proba`: scores of rows that were learnt from are too low, more so for
-        some targets, which makes sets larger. Calibration refuses rows that were given here.
+        some targets, which makes sets larger. With calibration rows, coverage falls below 1 - alpha.
         """
         scores, d = self.score_samples(proba, y), self.bins.n_targets
         loc, scale, tail = np.zeros(d), np.ones(d), as_alpha(self.alpha) / d
@@ -113,7 +116,6 @@ class Calibrator:
             loc[j] = np.minimum(conformal_quantile(finite, Fraction(1, 2)), finite.max())
             reach = float(np.minimum(conformal_quantile(finite, tail), finite.max()) - loc[j])
             scale[j] = reach if reach > 0 else float(finite.std()) or 1.0
-        self._scale_rows = _unique_rows(scores)
         return self.set_scale(scale, loc)
 
     def set_scale(self, scale: npt.ArrayLike = 1.0, loc: npt.ArrayLike = 0.0) -> Self:
@@ -146,28 +148,17 @@ class Calibrator:
         parts = as_probabilities(proba, self.bins.sizes)
         limits, (n, d) = as_scores(thresholds, "thresholds"), (len(parts[0]), self.bins.n_targets)
         if limits.shape not in ((d,), (n, d)):
-            raise ConformodalError(f"thresholds must have shape ({d},) or ({n}, {d}), got {limits.shape}")
-        masks = [self._mask(part, j, limits[..., j]) for j, part in enumerate(parts)]
-        unbounded = np.array(np.broadcast_to(np.isposinf(limits), (n, d)))
-        if self.empty == "mode":
-            self._fill_empty(parts, masks)
-        return Regions(self.bins, masks, unbounded)
-
-    def warn_of_whole_range(self, thresholds: RealArray, where: str = "") -> None:
-        """Warn if a threshold of (d,) admits a bin of probability 0: sets then hold every bin."""
-        for j, (widths, limit) in enumerate(zip(self.bins.widths, thresholds, strict=True)):
-            if widths.size == 1 or not np.isfinite(limit):
-                continue
-            certain = (np.arange(widths.size) == 0)[None].astype(thresholds.dtype)
-            worst = float(self.scores_of(certain, widths).max())
-            if limit >= worst - widths.size * np.finfo(thresholds.dtype).eps * abs(worst):
-                warnings.warn(
-                    f"every set of target {j} is the whole range{where}: the threshold admits bins of probability 0, "
-                    "as where more than alpha of the calibration rows lie in such bins. Smooth the probabilities, or "
-                    "give the classifier to ConformalRegressor, which does",
-                    WholeRangeWarning,
-                    stacklevel=3,
-                )
+            raise ConformodalError(f"there must be thresholds for {n} rows of {d} targets, got shape {limits.shape}")
+        masks = []
+        for part, limit, widths in zip(parts, limits.T[..., None], self.bins.widths, strict=True):
+            mask = np.empty(part.shape, dtype=bool)
+            for rows in blocks(n):
+                scores = self.scores_of(part[rows], widths)
+                np.less_equal(scores, limit if limits.ndim == 1 else limit[rows], out=mask[rows])
+                if self.empty == "mode":
+                    mask[rows][np.arange(len(scores)), scores.argmin(axis=1)] |= ~mask[rows].any(axis=1)
+            masks.append(mask)
+        return Regions(self.bins, masks, np.array(np.broadcast_to(np.isposinf(limits), (n, d))))
 
     def scores_of(self, part: RealArray, widths: FloatArray) -> RealArray:
         """Scores of all bins for rows (n, K) of one target's probabilities."""
@@ -206,45 +197,11 @@ class Calibrator:
             return np.zeros(self.bins.n_targets), np.ones(self.bins.n_targets)
         raise not_calibrated('joint="max" needs scales: call fit_scale(proba_train, y_train) first')
 
-    def _calibration_columns(self, scores: RealArray) -> RealArray:
-        """:meth:`columns` of calibration scores; rows that :meth:`fit_scale` saw would break the guarantee."""
-        if self.joint == "max" and self.bins.n_targets > 1 and len(scores) and hasattr(self, "_scale_rows"):
-            shared = int(np.isin(_unique_rows(scores), self._scale_rows).sum())
-            if shared > _MOST_SHARED * len(scores):
-                raise ConformodalError(
-                    f"fit_scale saw {shared} of the {len(scores)} calibration rows, with which coverage falls below "
-                    "1 - alpha: give it other rows, such as training rows scored out of fold"
-                )
-        return self.columns(scores)
-
-    def _regions_by_row(self, proba: Probabilities, limits: RealArray, name: str) -> Regions:
-        """Regions at one threshold per row, (m, d), which follow from the argument `name`."""
-        parts = as_probabilities(proba, self.bins.sizes)
-        if len(limits) != len(parts[0]):
-            raise ConformodalError(f"{name} must have one entry per row of proba ({len(parts[0])}), got {len(limits)}")
-        return self.regions_at(parts, limits)
+    def _set_thresholds(self) -> None:
+        """Thresholds that follow from the calibration scores and alpha alone, if there are any."""
 
     def _calibrated(self) -> Any:
         """The calibration scores."""
         if not hasattr(self, "scores_"):
             raise not_calibrated(f"{type(self).__name__} is not calibrated yet: call calibrate first")
         return self.scores_
-
-    def _mask(self, part: RealArray, j: int, limit: RealArray) -> BoolArray:
-        mask = np.empty(part.shape, dtype=bool)
-        for rows in blocks(part.shape[0]):
-            limits = limit if limit.ndim == 0 else limit[rows, None]
-            np.less_equal(self.scores_of(part[rows], self.bins.widths[j]), limits, out=mask[rows])
-        return mask
-
-    def _fill_empty(self, parts: BinProbabilities, masks: Sequence[BoolArray]) -> None:
-        for part, widths, mask in zip(parts, self.bins.widths, masks, strict=True):
-            rows = np.flatnonzero(~mask.any(axis=1))
-            if rows.size:
-                mask[rows, self.scores_of(part[rows], widths).argmin(axis=1)] = True
-
-
-def _unique_rows(scores: RealArray) -> FloatArray:
-    """One number per row of scores (n, d), for the rows that occur once."""
-    numbers, counts = np.unique(row_uniforms(scores), return_counts=True)
-    return np.asarray(numbers[counts == 1])

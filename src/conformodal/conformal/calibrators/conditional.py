@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.checks import Probabilities, as_doubles, as_finite, brief, column_names
-from conformodal.conformal.errors import ConformodalError
 from conformodal.conformal.regions import Regions
 from conformodal.core.arrays import BoolArray, FloatArray, RealArray
+from conformodal.core.errors import ConformodalError
 from conformodal.core.words import counted
 
 from .base import Calibrator
@@ -37,36 +37,13 @@ class ConditionalConformal(Calibrator):
 
     Each distinct row of conditions takes a linear programme: some 10 ms for a thousand calibration samples.
 
-    Parameters are those of :class:`~conformodal.conformal.calibrators.base.Calibrator`.
-
-    Attributes
-    ----------
-    scores_ : (n, columns) calibration scores
-    conditions_ : (n, c)
-    names_ : names of the columns of conditions; none of an array's
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from conformodal.conformal import ConditionalConformal, QuantileBins
-    >>> rng = np.random.default_rng(0)
-    >>> old, ill = rng.random(2000) < 0.5, rng.random(2000) < 0.5  # two groups that overlap
-    >>> y = rng.normal(0, 1 + old + ill)
-    >>> bins = QuantileBins(50).fit(y[:1000])
-    >>> proba, groups = np.full((2000, 50), 1 / 50), np.column_stack((old, ill))
-    >>> by_group = ConditionalConformal(bins, score="density").calibrate(proba[:1000], y[:1000], groups[:1000])
-    >>> held = by_group.predict(proba[1000:], groups[1000:]).contains(y[1000:])[:, 0]
-    >>> [round(float(held[which[1000:]].mean()), 2) for which in (old, ill)]
-    [0.92, 0.93]
+    Parameters are those of :class:`~conformodal.conformal.calibrators.base.Calibrator`; for an example see
+    ``docs/howto/groups-and-shift.md``.
     """
-
-    scores_: RealArray
-    conditions_: FloatArray
-    names_: list[str]
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, conditions: npt.ArrayLike) -> Self:
         """Score the calibration samples; `conditions` (n, c) are numbers, or zeros and ones for groups."""
-        scores = self._calibration_columns(self.score_samples(proba, y))
+        scores = self.columns(self.score_samples(proba, y))
         if not len(scores):
             raise ConformodalError("y must hold at least one calibration sample")
         self.names_ = column_names(conditions, "conditions", None)
@@ -96,7 +73,7 @@ class ConditionalConformal(Calibrator):
 
     def predict(self, proba: Probabilities, conditions: npt.ArrayLike) -> Regions:
         """Regions of new samples with these conditions (m, c)."""
-        return self._regions_by_row(proba, self.thresholds(conditions), "conditions")
+        return self.regions_at(proba, self.thresholds(conditions))
 
     def _ceilings(self) -> FloatArray:
         """(d,) scores that stand for those of values beyond the bins: above that of a bin of probability 0.

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.checks import Probabilities, as_labels, as_probabilities, factorise
-from conformodal.conformal.errors import ConformodalError
 from conformodal.conformal.rank import conformal_rank
 from conformodal.conformal.regions import Regions
 from conformodal.core.arrays import RealArray
+from conformodal.core.errors import ConformodalError
 
 from .base import Calibrator
 
@@ -27,12 +27,8 @@ class CrossConformal(Calibrator):
     falls with n (Barber et al., theorem 4), and about ``1 - alpha`` in practice. For folds that are contiguous blocks
     of a recording nothing is proven, as blocks are not exchangeable. Fit the bins once, on all samples.
 
-    Parameters
-    ----------
-    bins, alpha, score, empty
-        As in :class:`~conformodal.conformal.calibrators.base.Calibrator`.
-    joint
-        ``"none"`` or ``"bonferroni"``.
+    Parameters are those of :class:`~conformodal.conformal.calibrators.base.Calibrator`; `joint` is ``"none"`` or
+    ``"bonferroni"``.
 
     Examples
     --------
@@ -46,8 +42,6 @@ class CrossConformal(Calibrator):
     [array([[0., 1.],
            [2., 3.]])]
     """
-
-    scores_: dict[Hashable, RealArray]
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, folds: npt.ArrayLike) -> Self:
         """Score all samples out of fold.
@@ -72,21 +66,16 @@ class CrossConformal(Calibrator):
     def predict(self, proba: Mapping[Hashable, Probabilities]) -> Regions:
         """Regions of new samples; `proba` maps every fold to the probabilities by its model, fitted without it."""
         calibrated: dict[Hashable, RealArray] = self._calibrated()
-        names = sorted(map(str, calibrated))
-        if not isinstance(proba, Mapping):
-            raise ConformodalError(f"proba must be a mapping from the folds {names}, got {type(proba).__name__}")
-        labels = as_labels(list[Any](proba), len(proba), "names of folds").tolist()
-        if set(labels) != set(calibrated):
-            raise ConformodalError(f"proba must name the folds {names}, got {sorted(map(str, labels))}")
-        sizes = self.bins.sizes
-        parts = {k: as_probabilities(p, sizes, f"proba[{k!r}]") for k, p in zip(labels, proba.values(), strict=True)}
-        n = next(iter(parts.values()))[0].shape[0]
+        if not isinstance(proba, Mapping) or set(proba) != set(calibrated):
+            raise ConformodalError(f"proba must map each of the folds {list(calibrated)} to probabilities")
+        parts = {fold: as_probabilities(p, self.bins.sizes, f"proba[{fold!r}]") for fold, p in proba.items()}
+        n = len(next(iter(parts.values()))[0])
+        if any(len(part[0]) != n for part in parts.values()):
+            raise ConformodalError("proba must have as many rows in each fold")
         masks = []
         for j, (widths, size) in enumerate(zip(self.bins.widths, self.bins.sizes, strict=True)):
             smaller = np.zeros((n, size), dtype=np.int64)
             for fold, scores in calibrated.items():
-                if parts[fold][j].shape[0] != n:
-                    raise ConformodalError(f"proba[{fold!r}] has {parts[fold][j].shape[0]} rows, expected {n}")
                 smaller += np.searchsorted(scores[:, j], self.scores_of(parts[fold][j], widths), side="left")
             mask = smaller < self.rank
             if self.empty == "mode":

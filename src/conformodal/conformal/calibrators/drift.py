@@ -7,10 +7,11 @@ from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
+from sklearn.utils import check_random_state
 
-from conformodal.conformal.checks import Probabilities, as_number, as_random, as_scores
-from conformodal.conformal.errors import ConformodalError
+from conformodal.conformal.checks import SHARE, Probabilities, as_scores, check_number
 from conformodal.core.arrays import FloatArray, RealArray
+from conformodal.core.errors import ConformodalError
 from conformodal.core.words import counted
 
 from .split import SplitConformal
@@ -41,36 +42,18 @@ class DriftMonitor:
     Attributes
     ----------
     p_values : list of arrays, one per row: ranks as shares, one per target, or one for all with ``joint="max"``
-    capital : float
-        The martingale, 1 at the start.
-    alarm : int or None
-        Row, from 0, at which the capital first reached ``1 / delta``.
-    since : int or None
-        Estimated first row of the change: from it on, up to the alarm, a fixed bet would have gained most.
+    alarm : row, from 0, at which the capital first reached ``1 / delta``, or None
 
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from conformodal.conformal import DriftMonitor, QuantileBins, SplitConformal
-    >>> y = np.random.default_rng(0).normal(size=1500)
-    >>> bins = QuantileBins(50, margin=1.0).fit(y)
-    >>> proba = np.exp(-(bins.centers[0] ** 2) / 2)[None] * bins.widths[0]
-    >>> rows = np.repeat(proba / proba.sum(), 1500, axis=0)
-    >>> calibrator = SplitConformal(bins, score="density").calibrate(rows[:500], y[:500])
-    >>> monitor = DriftMonitor(calibrator, random_state=0).update(rows[500:], y[500:])
-    >>> monitor.alarm is None
-    True
-    >>> _ = monitor.update(rows[:200], 2 * y[:200])  # values spread, rows 1000 to 1199
-    >>> print(monitor)
-    capital 8.4e+09: alarm at row 1062, change since about row 1004; coverage since then 0.58
+    Printed, it says for example ``capital 8.4e+09: alarm at row 1062, change since about row 1004; coverage since then
+    0.58``; for code see ``docs/howto/groups-and-shift.md``.
     """
 
     def __init__(self, calibrator: SplitConformal, delta: float = 0.01, random_state: Any = None) -> None:
         if not isinstance(calibrator, SplitConformal) or getattr(calibrator, "units_", None) is not None:
             raise ConformodalError("calibrator must be a SplitConformal without units")
         self.calibrator = calibrator
-        self.delta = as_number(delta, "delta", "a probability in (0, 1)", lambda p: 0 < p < 1)
-        self._random = as_random(random_state)
+        self.delta = check_number(delta, "delta", SHARE)
+        self._random = check_random_state(random_state)
         calibration = calibrator.columns(calibrator._calibrated())
         self._past = [np.sort(column).tolist() for column in calibration.T]
         self._shares = np.full((calibration.shape[1], _SLOPES.size), 1 / _SLOPES.size)
@@ -107,13 +90,13 @@ class DriftMonitor:
 
     @property
     def capital(self) -> float:
-        """The martingale after the last row."""
+        """The martingale after the last row, 1 at the start."""
         with np.errstate(over="ignore"):
             return float(np.exp(self._log))
 
     @property
     def since(self) -> int | None:
-        """Estimated first row of the change, or None before an alarm."""
+        """First row of the change, as estimated: from it on, up to the alarm, a fixed bet would have gained most."""
         if self.alarm is None:
             return None
         p = np.array(self.p_values[: self.alarm + 1])

@@ -10,18 +10,20 @@ from collections import deque
 from collections.abc import Callable
 from fractions import Fraction
 from math import ceil, inf, isnan, pi, sqrt, tan
+from numbers import Real
 from sys import float_info
-from typing import Protocol, Self
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal.bins import QuantileBins
-from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, as_count, as_doubles, as_number, brief
-from conformodal.conformal.errors import ConformodalError
+from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, brief, check_number
 from conformodal.conformal.regions import Regions
 from conformodal.conformal.scores import Score
-from conformodal.core.arrays import FloatArray, RealArray
+from conformodal.core.arrays import FloatArray
+from conformodal.core.errors import ConformodalError
+from conformodal.core.ranges import Range
 
 from .base import Calibrator, Empty
 
@@ -29,17 +31,16 @@ from .base import Calibrator, Empty
 _MOST = float_info.max / 4
 # strength of the integral of ConformalPid, as a share of the scores' range
 _INTEGRAL_GAIN = 0.1
+_POSITIVE = Range(0, ends="(]")
 
 
 class PastScores:
     """Scores seen so far, or the last `window` of them."""
 
     def __init__(self, window: int | None = None) -> None:
-        if window is not None:
-            window = as_count(window, "window, in scores or None for all,", 1)
+        self.window = None if window is None else check_number(window, "window", Range(1, whole=True))
         self._order: deque[float] = deque()
         self._sorted: list[float] = []
-        self.window = window
 
     def __len__(self) -> int:
         return len(self._sorted)
@@ -66,9 +67,10 @@ class PastScores:
         return min(width, float_info.max) if width > 0 else 1.0
 
 
-def as_score(score: float) -> float:
-    """Return a score as a float."""
-    return as_number(score, "score", "a number and not NaN (what cannot be scored scores +inf)", lambda s: not isnan(s))
+def _as_score(score: float) -> float:
+    if not isinstance(score, Real) or isnan(score):
+        raise ConformodalError(f"score must be a number (what cannot be scored scores +inf), got {brief(score)}")
+    return float(score)
 
 
 class Aci:
@@ -82,25 +84,17 @@ class Aci:
 
     Parameters
     ----------
-    alpha
-        Miscoverage rate in (0, 1).
-    gamma
-        Step of alpha, above 0.
+    alpha, gamma
+        Miscoverage rate in (0, 1), and the step of alpha.
     window
         Past scores to rank among; None for all: memory and time per step then grow with the stream, by about 40 bytes
         per score and, beyond a million scores, a millisecond per step. The bound holds for any window.
-
-    Attributes
-    ----------
-    alpha_t : Fraction
-        The current rate; may lie outside [0, 1].
     """
 
     def __init__(self, alpha: Alpha = 0.1, gamma: float = 0.005, window: int | None = None) -> None:
         self.alpha = as_alpha(alpha)
-        as_number(gamma, "gamma", "above 0, and finite", lambda step: 0 < step < inf)
-        self.gamma = Fraction(str(gamma))
-        self.alpha_t = self.alpha
+        self.gamma = Fraction(str(check_number(gamma, "gamma", _POSITIVE)))
+        self.alpha_t = self.alpha  # the current rate; may leave [0, 1]
         self.past = PastScores(window)
 
     def threshold(self) -> float:
@@ -109,7 +103,7 @@ class Aci:
 
     def update(self, score: float) -> None:
         """Learn the score."""
-        value = as_score(score)
+        value = _as_score(score)
         missed = value > self.threshold() or self.alpha_t >= 1  # the empty set misses -inf too
         self.alpha_t += self.gamma * (self.alpha - int(missed))
         self.past.add(value)
@@ -142,17 +136,11 @@ class ConformalPid:
     """
 
     def __init__(
-        self,
-        alpha: Alpha = 0.1,
-        rate: float = 0.1,
-        saturation: float = 1.0,
-        window: int | None = 100,
+        self, alpha: Alpha = 0.1, rate: float = 0.1, saturation: float = 1.0, window: int | None = 100
     ) -> None:
-        for name, value in (("rate", rate), ("saturation", saturation)):
-            as_number(value, name, "above 0, and finite", lambda v: 0 < v < inf)
         self.alpha = as_alpha(alpha)
-        self.rate = float(rate)
-        self.saturation = float(saturation)
+        self.rate = float(check_number(rate, "rate", _POSITIVE))
+        self.saturation = float(check_number(saturation, "saturation", _POSITIVE))
         self.tracked: float | None = None  # before the first score sets are unbounded
         self.error = 0 * self.alpha
         self.steps = 0
@@ -162,12 +150,14 @@ class ConformalPid:
         """Threshold for the next score."""
         if self.tracked is None:
             return inf
-        integral = self._integral()
-        return integral if abs(integral) == inf else _clipped(self.tracked + integral)
+        angle = float(self.error) / sqrt(self.steps) / self.saturation
+        if abs(angle) >= pi / 2:
+            return inf if angle > 0 else -inf
+        return _clipped(self.tracked + _clipped(_INTEGRAL_GAIN * self.past.spread() * tan(angle)))
 
     def update(self, score: float) -> None:
         """Learn the score."""
-        value = as_score(score)
+        value = _as_score(score)
         limit = self.threshold()
         missed = int(value > limit or limit == -inf)  # the empty set misses -inf too
         self.past.add(value)
@@ -177,29 +167,20 @@ class ConformalPid:
         self.tracked = _clipped(self.tracked + self.rate * self.past.spread() * float(missed - self.alpha))
         self.steps += 1
 
-    def _integral(self) -> float:
-        if self.steps == 0:
-            return 0.0
-        angle = float(self.error) / sqrt(self.steps) / self.saturation
-        if abs(angle) >= pi / 2:
-            return inf if angle > 0 else -inf
-        return _clipped(_INTEGRAL_GAIN * self.past.spread() * tan(angle))
-
 
 def _clipped(value: float) -> float:
     return min(max(value, -_MOST), _MOST)
 
 
+@runtime_checkable
 class Tracker(Protocol):
-    """A method that turns a stream of scores into thresholds, one before each score."""
+    """A method that turns a stream of scores into thresholds, one before each score.
 
-    def threshold(self) -> float:
-        """Threshold for the next score; ``inf`` for an unbounded set, ``-inf`` for the empty set."""
-        ...
+    Of the thresholds, ``inf`` stands for an unbounded set, ``-inf`` for the empty set.
+    """
 
-    def update(self, score: float) -> None:
-        """Learn the score."""
-        ...
+    def threshold(self) -> float: ...  # noqa: D102
+    def update(self, score: float) -> None: ...  # noqa: D102
 
 
 METHODS: dict[str, Callable[[Alpha], Tracker]] = {"aci": Aci, "pid": ConformalPid}
@@ -213,7 +194,8 @@ class OnlineConformal:
     - ``(max(alpha, 1 - alpha) + 0.005) / (0.005 T)`` with ``"aci"`` (:class:`Aci`),
     - ``(pi/2 sqrt(T) + 1) / T`` with ``"pid"`` (:class:`ConformalPid`).
 
-    Nothing is guaranteed for a single sample, or for the size of sets: against an adversary most are unbounded.
+    Nothing is guaranteed for a single sample, or for the size of sets: against an adversary most are unbounded. For an
+    example see ``docs/howto/groups-and-shift.md``.
 
     Parameters
     ----------
@@ -226,16 +208,6 @@ class OnlineConformal:
     empty
         ``"allow"`` or ``"mode"``, as for the other calibrators. With ``"mode"`` a threshold of ``-inf`` shows one bin,
         but still counts as a miss.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from conformodal.conformal import Aci, OnlineConformal, QuantileBins
-    >>> bins = QuantileBins.from_edges([[0, 1, 2]])
-    >>> stream = OnlineConformal(bins, alpha=0.1, method=lambda alpha: Aci(alpha, gamma=0.02))
-    >>> proba, y = np.tile([0.7, 0.3], (500, 1)), np.random.default_rng(0).uniform(0, 2, 500)
-    >>> bool(abs(stream.run(proba, y).contains(y).mean() - 0.9) < (0.9 + 0.02) / (500 * 0.02))
-    True
     """
 
     def __init__(
@@ -248,20 +220,16 @@ class OnlineConformal:
     ) -> None:
         self._sets = Calibrator(bins, alpha, score, "none", empty)
         self._sets.check_parameters()
-        if isinstance(method, str):
-            method = METHODS.get(method, method)
-        if not callable(method):
-            raise ConformodalError(f"method must be one of {sorted(METHODS)} or make a Tracker, got {brief(method)}")
+        make: Any = METHODS.get(method) if isinstance(method, str) else method
         self.bins = bins
-        self.trackers = [method(as_alpha(alpha)) for _ in range(bins.n_targets)]
-        for tracker in self.trackers:
-            if not (callable(getattr(tracker, "threshold", None)) and callable(getattr(tracker, "update", None))):
-                raise ConformodalError(f"method must make a Tracker, with threshold and update, got {brief(tracker)}")
+        self.trackers: list[Any] = [make(as_alpha(alpha)) if callable(make) else None for _ in range(bins.n_targets)]
+        if not all(isinstance(tracker, Tracker) for tracker in self.trackers):
+            raise ConformodalError(f"method must be one of {sorted(METHODS)} or make a Tracker, got {brief(method)}")
 
     @property
     def thresholds(self) -> FloatArray:
         """Current thresholds, (d,)."""
-        return as_doubles([tracker.threshold() for tracker in self.trackers], "thresholds")
+        return np.array([tracker.threshold() for tracker in self.trackers], dtype=np.float64)
 
     def predict(self, proba: Probabilities) -> Regions:
         """Regions of one or more samples at the current thresholds."""
@@ -269,20 +237,19 @@ class OnlineConformal:
 
     def update(self, proba: Probabilities, y: npt.ArrayLike) -> Self:
         """Learn the truth of samples, in the order of their rows."""
-        for scores in self._sets.score_samples(proba, y):
-            self._learn(scores)
+        self._limits(proba, y)
         return self
 
     def run(self, proba: Probabilities, y: npt.ArrayLike) -> Regions:
         """Predict and update, row by row: the regions each sample had before its truth was known."""
-        limits = []
-        for scores in self._sets.score_samples(proba, y):
-            limits.append(self.thresholds)
-            self._learn(scores)
-        if not limits:
-            return self.predict(proba)
-        return self._sets.regions_at(proba, np.stack(limits))
+        return self._sets.regions_at(proba, self._limits(proba, y))
 
-    def _learn(self, scores: RealArray) -> None:
-        for tracker, score in zip(self.trackers, scores, strict=True):
-            tracker.update(float(score))
+    def _limits(self, proba: Probabilities, y: npt.ArrayLike) -> FloatArray:
+        """Thresholds (n, d) before each row, whose truth is then learnt."""
+        scores = self._sets.score_samples(proba, y)
+        limits = np.empty(scores.shape)
+        for limit, row in zip(limits, scores, strict=True):
+            limit[:] = self.thresholds
+            for tracker, score in zip(self.trackers, row, strict=True):
+                tracker.update(float(score))
+        return limits

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from copy import copy
 from fractions import Fraction
 from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.checks import Alpha, Probabilities, as_labels, as_scores, factorise
-from conformodal.conformal.errors import ConformodalError
+from conformodal.conformal.checks import Probabilities, as_labels, as_scores, factorise
 from conformodal.conformal.rank import conformal_quantile, conformal_rank, hierarchical_quantile
 from conformodal.conformal.regions import Regions
-from conformodal.core.arrays import AnyArray, IntArray, RealArray
+from conformodal.core.arrays import IntArray, RealArray, rows_by_label
+from conformodal.core.errors import ConformodalError
 
 from .base import Calibrator
 
@@ -32,7 +31,6 @@ class SplitConformal(Calibrator):
 
     Attributes
     ----------
-    scores_ : (n, d) calibration scores of the true bins, ``+inf`` for values outside the edges
     units_ : (n,) unit of each calibration sample, or None if samples are exchangeable
     unit_sizes_ : (n,) size of each sample's whole unit, if only one category of its members is here, or None
     thresholds_ : (d,) thresholds, ``+inf`` where n is too small for alpha
@@ -49,11 +47,6 @@ class SplitConformal(Calibrator):
            [2., 3.]])]
     """
 
-    scores_: RealArray
-    units_: AnyArray | None
-    unit_sizes_: IntArray | None
-    thresholds_: RealArray
-
     @property
     def rank(self) -> int:
         """Rank k of the threshold among the exchangeable units; n_units + 1 means an unbounded set."""
@@ -62,8 +55,8 @@ class SplitConformal(Calibrator):
     @property
     def n_units(self) -> int:
         """Exchangeable units behind the thresholds: calibration samples, or what they were drawn together in."""
-        n = self._calibrated().shape[0]
-        return n if self.units_ is None else len(factorise(self.units_)[0])
+        scores = self._calibrated()
+        return len(scores if self.units_ is None else np.unique(self.units_))
 
     @property
     def weight(self) -> Fraction:
@@ -84,15 +77,10 @@ class SplitConformal(Calibrator):
         `proba` is (n, d, K) or a list of d arrays (n, K_d); `y` are (n, d) true values, or (n,) for one target; `units`
         are (n,) labels of what samples were drawn together in: text, numbers or dates.
         """
-        self.calibrate_scores(self.score_samples(proba, y), units)
-        self.warn_of_whole_range(self.thresholds_)
-        return self
+        return self.calibrate_scores(self.score_samples(proba, y), units)
 
     def calibrate_scores(
-        self,
-        scores: RealArray,
-        units: npt.ArrayLike | None = None,
-        unit_sizes: IntArray | None = None,
+        self, scores: RealArray, units: npt.ArrayLike | None = None, unit_sizes: IntArray | None = None
     ) -> Self:
         """Set the thresholds from calibration scores (n, d) of :meth:`score_samples`.
 
@@ -105,42 +93,21 @@ class SplitConformal(Calibrator):
             raise ConformodalError(f"scores must have shape (n, {self.bins.n_targets}), got {scores.shape}")
         if units is not None:
             units = as_labels(units, len(scores), "units")
-        if unit_sizes is not None:
-            unit_sizes = _as_sizes(unit_sizes, units)
-        columns = self._calibration_columns(scores)
         self.scores_, self.units_, self.unit_sizes_ = scores, units, unit_sizes
-        self.thresholds_ = self.per_target(self._quantiles(columns, units, unit_sizes))
+        self._set_thresholds()
         return self
 
-    def _quantiles(self, columns: RealArray, units: AnyArray | None, unit_sizes: IntArray | None) -> RealArray:
-        rate = self.alpha_per_target
-        if units is None:
-            return conformal_quantile(columns, rate)
-        labels, codes = factorise(units)
-        rows = [np.flatnonzero(codes == code) for code in range(len(labels))]
-        sizes = None if unit_sizes is None else [int(unit_sizes[members[0]]) for members in rows]
-        return np.array([hierarchical_quantile([column[m] for m in rows], rate, sizes) for column in columns.T])
+    def _set_thresholds(self) -> None:
+        columns, rate = self.columns(self.scores_), self.alpha_per_target
+        if self.units_ is None:
+            self.thresholds_ = self.per_target(conformal_quantile(columns, rate))
+            return
+        rows, sizes = rows_by_label(self.units_), self.unit_sizes_
+        whole = None if sizes is None else [int(sizes[members[0]]) for members in rows]
+        limits = [hierarchical_quantile([column[m] for m in rows], rate, whole) for column in columns.T]
+        self.thresholds_ = self.per_target(np.array(limits))
 
     def predict(self, proba: Probabilities) -> Regions:
         """Regions of new samples: every bin whose score is at most the threshold."""
         self._calibrated()
         return self.regions_at(proba, self.thresholds_)
-
-    def at(self, alpha: Alpha) -> SplitConformal:
-        """The same calibration at another miscoverage rate."""
-        other = copy(self)
-        other.alpha = alpha
-        other.calibrate_scores(self._calibrated(), self.units_, self.unit_sizes_)
-        other.warn_of_whole_range(other.thresholds_)
-        return other
-
-
-def _as_sizes(unit_sizes: IntArray, units: AnyArray | None) -> IntArray:
-    sizes = np.asarray(unit_sizes)
-    if units is None or sizes.shape != units.shape or sizes.dtype.kind not in "iu":
-        raise ConformodalError("unit_sizes must be whole numbers, one per sample, and need units")
-    _, first, codes = np.unique(units, return_index=True, return_inverse=True)
-    if (sizes != sizes[first][codes]).any():
-        row = int(np.argmax(sizes != sizes[first][codes]))
-        raise ConformodalError(f"unit_sizes must be the same within a unit; row {row} differs, {sizes[row]}")
-    return sizes

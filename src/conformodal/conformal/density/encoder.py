@@ -1,8 +1,8 @@
-"""Tables of any kind (arrays; frames of pandas, polars and Arrow) by rows, and as columns of finite numbers."""
+"""Tables (arrays; frames of pandas and polars) by rows, and as columns of finite numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable
+from collections.abc import Collection
 from datetime import date, datetime
 from decimal import Decimal
 from numbers import Real
@@ -12,8 +12,8 @@ import numpy as np
 from scipy.sparse import issparse
 
 from conformodal.conformal.checks import as_doubles, brief, column_names, is_missing
-from conformodal.conformal.errors import ConformodalError
 from conformodal.core.arrays import AnyArray, FloatArray
+from conformodal.core.errors import ConformodalError
 
 # labels of a column of text that get a column each, the most frequent ones, each in at least two rows
 _MOST_LABELS, _LEAST_ROWS = 20, 2
@@ -21,25 +21,17 @@ _DAY = np.timedelta64(1, "D")
 
 
 def is_frame(X: Any) -> bool:
-    """Whether `X` is a table with named columns: of pandas, polars or Arrow."""
+    """Whether `X` is a table with named columns, of pandas or polars."""
     return hasattr(X, "columns") and hasattr(X, "shape")
 
 
-def column_of(X: Any, j: int) -> Any:
-    """Column `j` of a frame, as its library has it."""
-    if hasattr(X, "iloc"):
-        return X.iloc[:, j]
-    return X.column(j) if hasattr(X, "column_names") else X[:, j]
+def _column(X: Any, j: int) -> Any:
+    return X.iloc[:, j] if hasattr(X, "iloc") else X[:, j]
 
 
 def rows_of(X: Any, rows: Any) -> Any:
     """Some rows of a table, by a slice, a mask or positions: the same kind of table."""
-    if not is_frame(X):
-        return X[rows]
-    positions = np.arange(X.shape[0])[rows]
-    if hasattr(X, "iloc"):
-        return X.iloc[positions]
-    return X.take(positions) if hasattr(X, "column_names") else X[positions]
+    return X.iloc[rows] if hasattr(X, "iloc") else X[np.arange(X.shape[0])[rows]]
 
 
 def as_column(column: Any, name: object, text: bool = False) -> AnyArray:
@@ -47,13 +39,9 @@ def as_column(column: Any, name: object, text: bool = False) -> AnyArray:
 
     With `text`, objects of any kind and a column without any value are text too.
     """
-    if hasattr(column, "combine_chunks"):  # of Arrow, whose chunks of categories fill gaps with a category
-        column = column.combine_chunks()
     arr = np.asarray(column)
-    if arr.ndim != 1 or arr.dtype.kind in "cV":
-        raise ConformodalError(f"column {name} must hold numbers, dates or text, got {brief(column)}")
-    kind = str(getattr(column, "dtype", getattr(column, "type", ""))).lower()
-    labels = kind.startswith(("categor", "enum", "dictionary")) or (text and arr.dtype.kind == "O")
+    labels = str(getattr(column, "dtype", "")).lower().startswith(("categor", "enum"))
+    labels |= text and arr.dtype.kind == "O"
     if arr.dtype.kind == "O" and not labels:
         present = [value for value in arr if not is_missing(value)]
         if all(isinstance(value, (Real, Decimal, np.bool_)) for value in present):
@@ -61,16 +49,12 @@ def as_column(column: Any, name: object, text: bool = False) -> AnyArray:
         elif all(isinstance(value, date) for value in present):
             times = [None if is_missing(v) else v.replace(tzinfo=None) if isinstance(v, datetime) else v for v in arr]
             arr = np.array(times, dtype="M8[us]")
-        elif not all(isinstance(value, (str, bytes, Real, date)) for value in present):
-            raise ConformodalError(f"column {name} must hold numbers, dates or text, got {brief(present[:3])}")
     if arr.dtype.kind in "mM":
         arr = np.where(np.isnat(arr), np.nan, (arr - arr.dtype.type(0, "D") if arr.dtype.kind == "M" else arr) / _DAY)
     if arr.dtype.kind in "biuf" and not labels:
         numbers = arr.astype(np.float64)
         if np.isinf(numbers).any():
-            raise ConformodalError(
-                f"column {name} must be finite or missing, got inf in row {np.isinf(numbers).argmax()}"
-            )
+            raise ConformodalError(f"column {name} must be finite or missing, got inf in row {np.isinf(arr).argmax()}")
         return np.full(numbers.shape, "") if text and np.isnan(numbers).all() else numbers
     return np.array([_label(value) for value in arr], dtype=np.str_)
 
@@ -86,21 +70,19 @@ def named_targets(y: Any, expected: list[str] | None) -> tuple[FloatArray, list[
     """Values to predict, (n,) or (n, d), and the names of a frame's or a series' columns."""
     if is_frame(y):
         names = column_names(y, "y", expected)
-        columns = [as_doubles(column_of(y, j), f"y, {name},") for j, name in enumerate(names)]
-        return np.column_stack(columns or [np.empty((y.shape[0], 0))]), names
+        return np.column_stack([as_doubles(_column(y, j), f"y, {name},") for j, name in enumerate(names)]), names
     name = getattr(y, "name", None) if hasattr(y, "to_frame") else None  # of a series
     return as_doubles(y, f"y, {name}," if name else "y"), [str(name)] if name else None
 
 
-def columns_of(X: Any, text: Collection[int] = ()) -> list[tuple[Hashable, AnyArray]]:
-    """Names and values of the columns of a table, see :func:`as_column`; an array has numbers only."""
+def _columns_of(X: Any, text: Collection[int] = ()) -> list[AnyArray]:
+    """The columns of a table, see :func:`as_column`; an array has numbers only."""
     if is_frame(X):
-        names = column_names(X, "X", None)
-        return [(name, as_column(column_of(X, j), name, j in text)) for j, name in enumerate(names)]
+        return [as_column(_column(X, j), name, j in text) for j, name in enumerate(X.columns)]
     arr = as_doubles(X, "X")
     if arr.ndim != 2 or np.isinf(arr).any():
         raise ConformodalError(f"X must be finite or missing, of shape (n, p), got shape {arr.shape}")
-    return list(enumerate(arr.T))
+    return list(arr.T)
 
 
 class TableEncoder:
@@ -115,7 +97,7 @@ class TableEncoder:
     def fit(self, X: Any) -> Self:
         """Learn the medians and labels of the columns."""
         self.columns_: list[tuple[float, bool] | list[str] | None] = []
-        for _, values in columns_of(X):
+        for values in _columns_of(X):
             if values.dtype.kind == "f":
                 gaps = np.isnan(values)
                 self.columns_.append(None if gaps.all() else (float(np.median(values[~gaps])), bool(gaps.any())))
@@ -127,11 +109,11 @@ class TableEncoder:
 
     def transform(self, X: Any) -> FloatArray:
         """The columns (n, q) of a table with as many columns as the one that was learnt."""
-        columns = columns_of(X, [j for j, learnt in enumerate(self.columns_) if isinstance(learnt, list)])
+        columns = _columns_of(X, [j for j, learnt in enumerate(self.columns_) if isinstance(learnt, list)])
         if len(columns) != len(self.columns_):
             raise ConformodalError(f"X has {len(columns)} columns, expected {len(self.columns_)}")
         parts: list[FloatArray] = [np.empty((len(X), 0))]
-        for (name, values), learnt in zip(columns, self.columns_, strict=True):
+        for j, (values, learnt) in enumerate(zip(columns, self.columns_, strict=True)):
             if learnt is None:
                 parts.append(np.zeros(len(values)))
             elif isinstance(learnt, tuple) and values.dtype.kind == "f":
@@ -140,13 +122,14 @@ class TableEncoder:
             elif isinstance(learnt, list) and values.dtype.kind != "f":
                 parts += [(values == label) * 1.0 for label in learnt]
             else:
-                what = ("numbers or dates", "text")[:: 1 if isinstance(learnt, tuple) else -1]
-                raise ConformodalError(f"column {name} held {what[0]} in training, got {what[1]}, {brief(values[:1])}")
+                before = "text" if isinstance(learnt, list) else "numbers or dates"
+                name = X.columns[j] if is_frame(X) else j
+                raise ConformodalError(f"column {name} held {before} in training, got {brief(values[:1])}")
         return np.column_stack(parts)
 
 
 def dense_inputs(X: Any) -> FloatArray | None:
-    """Inputs (n, q) as numbers; None if they are sparse or hold what only the estimator can read, such as lists."""
+    """Inputs (n, q) as numbers; None if they are sparse or hold what only the estimator can read."""
     try:
         return None if issparse(X) else TableEncoder().fit(X).transform(X)
     except ConformodalError:

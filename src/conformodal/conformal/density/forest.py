@@ -26,37 +26,26 @@ class LeafForest:
     `kind` is ``RandomForestRegressor`` or the faster ``ExtraTreesRegressor`` of scikit-learn, which splits at random
     cuts (Geurts, Ernst and Wehenkel 2006); both draw bootstrap samples.
 
-    Attributes
-    ----------
-    out_of_bag_ : one (m, G) per grouping: weights of the requested rows by trees that did not see them; rows sum to one
-    out_of_bag_mean_ : (n,) mean of the values by trees that did not see the row
+    `out_of_bag_` holds, per grouping, the weights (m, G) of the requested rows by trees that did not see them; rows sum
+    to one. `out_of_bag_mean_` (n,) is the mean of the values by trees that did not see the row.
     """
 
-    out_of_bag_: list[FloatArray]
-    out_of_bag_mean_: FloatArray
-
     def __init__(self, kind: Any, n_trees: int, min_samples_leaf: int, random_state: int, n_jobs: int | None) -> None:
-        self.forest = kind(
-            n_trees,
-            min_samples_leaf=min_samples_leaf,
-            max_features=0.5,
-            bootstrap=True,
-            random_state=random_state,
-            n_jobs=n_jobs,
-        )
+        options = {"min_samples_leaf": min_samples_leaf, "max_features": 0.5, "bootstrap": True}
+        self.forest = kind(n_trees, random_state=random_state, n_jobs=n_jobs, **options)
 
     def fit(
         self,
         X: FloatArray,
-        targets: FloatArray,
-        values: FloatArray,
+        splits: FloatArray,
+        y: FloatArray,
         weight: FloatArray,
         groupings: list[Groups],
         rows: IntArray,
     ) -> Self:
-        """Fit on features (n, p) and split targets (n, c); average `values` and `groupings` in the leaves."""
-        n = values.size
-        self.forest.fit(X, targets)  # what it does with weights differs between versions: here leaves are weighted
+        """Fit on features (n, p) and what trees split by (n, c); average values `y` and `groupings` in the leaves."""
+        n = y.size
+        self.forest.fit(X, splits)  # what it does with weights differs between versions: here leaves are weighted
         nodes = [tree.tree_.node_count for tree in self.forest.estimators_]
         self._first = np.concatenate(([0], np.cumsum(nodes)))
         leaves = self.apply(X)
@@ -66,12 +55,12 @@ class LeafForest:
         drawn = sparse.csr_array(parts, (int(self._first[-1]), n))
         share = 1 / np.maximum(np.asarray(drawn.sum(axis=1)).ravel(), 1e-300)
         drawn = sparse.csr_array(sparse.diags_array(np.where(share < 1e300, share, 0.0)) @ drawn)
-        self._means = np.asarray(drawn @ values)
+        self._means = np.asarray(drawn @ y)
 
         out = times == 0
         count = out.sum(axis=1)
         total = np.where(out, self._means[leaves], 0.0).sum(axis=1)
-        self.out_of_bag_mean_ = np.where(count > 0, total / np.maximum(count, 1), np.average(values, weights=weight))
+        self.out_of_bag_mean_ = np.where(count > 0, total / np.maximum(count, 1), np.average(y, weights=weight))
         query = self._query(leaves[rows], out[rows])
         self._tables: list[Any] = []
         self.out_of_bag_ = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,14 +10,13 @@ from scipy.special import ndtr
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import _check_sample_weight
 
-from conformodal.conformal.bins import QuantileBins
-from conformodal.conformal.checks import as_doubles, as_finite
-from conformodal.conformal.errors import ConformodalError, not_calibrated
+from conformodal.conformal.bins import QuantileBins, nearest_bins
+from conformodal.conformal.checks import as_doubles, as_finite, not_calibrated
 from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.errors import ConformodalError
 
 from .encoder import TableEncoder
 from .forest import Groups, LeafForest
-from .location import Location
 
 # for each of the five components, in order: whether it is a distribution of scaled residuals
 _RESIDUAL = (False, True, True, False, False)
@@ -32,54 +30,6 @@ _FLOOR = 1e-6
 _ITERATIONS = 200
 # least spread of the values: distances in units of a smaller one may overflow
 _LEAST_SPREAD = 1e-150
-
-
-@dataclass
-class Standardised:
-    """A table with its values and the edges of their bins, both standardised."""
-
-    X: FloatArray
-    z: FloatArray
-    weight: FloatArray
-    edges: FloatArray
-    z_edges: FloatArray
-
-    @property
-    def codes(self) -> IntArray:
-        """Bin (n,) of every value; values beyond the edges are in the outer bins."""
-        return np.searchsorted(self.z_edges[1:-1], self.z, side="right")
-
-
-def standardised(
-    X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None
-) -> Standardised:
-    """Check features (n, p), values (n,), edges (K + 1,) and weights (n,); rows of weight zero are left out."""
-    features, values = as_features(X), as_finite(y, "y", "(n,)")
-    if values.shape != features.shape[:1]:
-        raise ConformodalError(f"y must have one value per row of X ({features.shape[0]}), got {values.size}")
-    weight = np.ones(values.size) if sample_weight is None else as_sample_weight(sample_weight, values.size)
-    kept = weight > 0
-    if not kept.all():
-        features, values, weight = features[kept], values[kept], weight[kept]
-    if values.size < 2:
-        raise ConformodalError(f"X must have at least 2 rows to learn a density, got n_samples={values.size}")
-    (checked,) = QuantileBins.from_edges([edges]).edges_
-    with np.errstate(over="ignore", invalid="ignore"):
-        center, scale = float(values.mean()), float(values.std()) or 1.0
-    if not (np.isfinite([center, scale]).all() and scale >= _LEAST_SPREAD):
-        raise ConformodalError(f"y has a spread that float64 cannot work with, {scale:g} around {center:g}")
-    return Standardised(features, (values - center) / scale, weight, checked, (checked - center) / scale)
-
-
-def as_features(X: npt.ArrayLike) -> FloatArray:
-    """Finite features (n, p) that float32 can hold, as trees need."""
-    features = as_finite(X, "X", "(n, p)")
-    most = float(np.finfo(np.float32).max)
-    if not features.shape[1]:
-        raise ConformodalError("X must have a column of numbers, or of text with a label in two rows")
-    if features.size and np.abs(features).max() > most:
-        raise ConformodalError(f"X must have numbers that float32 can hold, up to {most:.3g}, as trees do")
-    return features
 
 
 def as_sample_weight(sample_weight: npt.ArrayLike, n: int) -> FloatArray:
@@ -103,10 +53,7 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
     model of the logarithmic spread, and the forests; the last of these knows the features alone.
     """
 
-    edges_: FloatArray
-    weights_: FloatArray
-    encoder_: TableEncoder
-    location_: Location
+    location_: Any
     spread_: Any
     forests_: tuple[LeafForest, ...]
 
@@ -114,7 +61,7 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
         """Probabilities of the bins, (n, K)."""
         if not hasattr(self, "weights_"):
             raise not_calibrated(f"{type(self).__name__} is not fitted yet: call fit_bins(X, y, edges) first")
-        features = as_features(self.encoder_.transform(X))
+        features = self.encoder_.transform(X)
         parts = [self._proba(features[i : i + _ROWS_AT_ONCE]) for i in range(0, len(features), _ROWS_AT_ONCE)]
         return np.concatenate(parts) if parts else np.empty((0, self.edges_.size - 1))
 
@@ -134,9 +81,32 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
         total = masses[0] + masses[3] + masses[4] + residual * shifted
         return np.asarray(total / total.sum(axis=1, keepdims=True))
 
+    def _standardise(
+        self, X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Features (n, p), standardised values (n,) and weights (n,), without rows of weight zero."""
+        self.encoder_ = TableEncoder().fit(X)
+        features, values = self.encoder_.transform(X), as_finite(y, "y", "(n,)")
+        if values.size != len(features):
+            raise ConformodalError(f"y must have one value per row of X ({len(features)}), got {values.size}")
+        weight = np.ones(values.size) if sample_weight is None else as_sample_weight(sample_weight, values.size)
+        kept = weight > 0
+        if not kept.all():
+            features, values, weight = features[kept], values[kept], weight[kept]
+        if values.size < 2:
+            raise ConformodalError(f"X must have at least 2 rows to learn a density, got n_samples={values.size}")
+        (self.edges_,) = QuantileBins.from_edges([edges]).edges_
+        with np.errstate(over="ignore", invalid="ignore"):
+            center, scale = float(values.mean()), float(values.std()) or 1.0
+        if not (np.isfinite([center, scale]).all() and scale >= _LEAST_SPREAD):
+            raise ConformodalError(f"y has a spread that float64 cannot work with, {scale:g} around {center:g}")
+        self._z_edges = (self.edges_ - center) / scale
+        return features, (values - center) / scale, weight
+
     def _mix(
         self,
-        table: Standardised,
+        z: FloatArray,
+        weight: FloatArray,
         place: tuple[FloatArray, FloatArray],
         groups: tuple[Groups, Groups],
         by_forest: list[FloatArray],
@@ -144,19 +114,20 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
     ) -> None:
         """Choose every component's bandwidth, then the weights, by the likelihood of held-out values.
 
-        `place` are location and spread (n,) of every row, out of fold; `groups` are of the values and of the scaled
-        residuals; `by_forest` are the out-of-bag weights (m, G) of the three forests for the `validation` rows (m,).
+        `z` and `weight` are of :meth:`_standardise`; `place` are location and spread (n,) of every row, out of fold;
+        `groups` are of the values and of the scaled residuals; `by_forest` are the out-of-bag weights (m, G) of the
+        three forests for the `validation` rows (m,).
         """
         loc, spread = place
-        scaled = (table.z - loc) / spread
-        self._z_edges, self._grid = table.z_edges, _grid_of(scaled)
-        self._pooled = [np.bincount(of, table.weight)[None] / table.weight.sum() for of, _ in groups]
-        codes, widths, weight = table.codes[validation], np.diff(table.z_edges), table.weight[validation]
+        scaled = (z - loc) / spread
+        self._grid = _grid_of(scaled)
+        self._pooled = [np.bincount(of, weight)[None] / weight.sum() for of, _ in groups]
+        codes, widths, weight = nearest_bins(z[validation], self._z_edges), np.diff(self._z_edges), weight[validation]
         self._kernels: list[FloatArray] = []
         likelihoods = []
         for residual, weights in zip(_RESIDUAL, [*self._pooled, *by_forest], strict=True):
             centers, sample, edges = (
-                (groups[1][1], scaled, self._grid) if residual else (groups[0][1], table.z, table.z_edges)
+                (groups[1][1], scaled, self._grid) if residual else (groups[0][1], z, self._z_edges)
             )
             fits = []
             for factor in _FACTORS:
@@ -169,7 +140,7 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
             self._kernels.append(kernel)
             likelihoods.append(each)
         mixed = np.maximum(mixture_weights(np.column_stack(likelihoods), weight), _LEAST_WEIGHT)
-        self.edges_, self.weights_ = table.edges, mixed / mixed.sum()
+        self.weights_ = mixed / mixed.sum()
 
     def _shifted(self, masses: FloatArray, loc: FloatArray, spread: FloatArray) -> FloatArray:
         """Bin probabilities of values, from masses (n, M) of their scaled residuals."""

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.calibrators.base import Joint
-from conformodal.conformal.calibrators.mondrian import MondrianConformal
-from conformodal.conformal.calibrators.split import SplitConformal
-from conformodal.conformal.checks import Alpha, Probabilities, as_targets, brief
-from conformodal.conformal.errors import ConformodalError
-from conformodal.conformal.regions import Regions
+from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.core.errors import ConformodalError
 from conformodal.core.words import counted
 
-from .coverage import CoverageCheck, check_coverage, coverage_by_group, coverage_by_size, grouped_coverage_band
-from .slab import worst_slab
+from .calibrators.base import Joint
+from .calibrators.mondrian import MondrianConformal
+from .calibrators.split import SplitConformal
+from .checks import Alpha, Probabilities, as_labels, as_targets, factorise
+from .coverage import CoverageCheck, check_coverage, grouped_coverage_band, strata_of, worst_slab
+from .regions import Regions
 
 _ASSUMPTION = (
     "A band holds if the calibration and test samples{of_each_group} are exchangeable (split at random, say), neither "
@@ -48,19 +47,12 @@ class SizeSummary:
 
 def summarise_sizes(regions: Regions) -> list[SizeSummary]:
     """One summary per target."""
-    if len(regions) == 0:
-        raise ConformodalError("regions must hold at least one sample to be summarised")
     at = [int(np.ceil(q * len(regions))) - 1 for q in (0.5, 0.9)]
     counts, lengths = regions.n_intervals, regions.length
-    columns = (
-        lengths.mean(axis=0),
-        *np.sort(lengths, axis=0)[at],
-        counts.mean(axis=0),
-        (counts > 1).mean(axis=0),
-        (counts == 0).mean(axis=0),
-        regions.unbounded.mean(axis=0),
-    )
-    return [SizeSummary(*map(float, values)) for values in zip(*columns, strict=True)]
+    ranked = np.sort(lengths, axis=0)[at]
+    shares = [(counts > 1).mean(axis=0), (counts == 0).mean(axis=0), regions.unbounded.mean(axis=0)]
+    columns = np.array([lengths.mean(axis=0), *ranked, counts.mean(axis=0), *shares])
+    return [SizeSummary(*values) for values in columns.T.tolist()]
 
 
 @dataclass(frozen=True)
@@ -69,18 +61,11 @@ class ColumnDiagnosis:
 
     name: str  # of the target, or "all targets"
     coverage: CoverageCheck  # of all test samples
-    by_size: dict[str, CoverageCheck]
-    by_group: dict[str, CoverageCheck]  # empty without groups
-    slab: CoverageCheck | None  # of the worst slab of the inputs, on other samples; None without inputs
+    parts: dict[str, CoverageCheck]  # of strata of sizes, of groups, and of the worst slab of the inputs
 
     def rows(self) -> list[tuple[str, CoverageCheck]]:
         """All coverages, each with its label."""
-        return [
-            ("all samples", self.coverage),
-            *((f"size {name}", check) for name, check in self.by_size.items()),
-            *((f"group {name}", check) for name, check in self.by_group.items()),
-            *([] if self.slab is None else [("worst slab, other samples", self.slab)]),
-        ]
+        return [("all samples", self.coverage), *self.parts.items()]
 
 
 @dataclass(frozen=True)
@@ -89,16 +74,11 @@ class Diagnosis:
 
     Attributes
     ----------
-    columns
-        One entry for each coverage guarantee.
-    names, sizes
-        The targets' names and the sizes of their sets.
-    joint_coverage
-        Share of test samples whose targets are all in their sets.
-    alpha, joint, score, n_calibration, n_test
-        Of the calibration and the test.
-    within_groups
-        Whether coverage is guaranteed within each group.
+    columns : one entry for each coverage guarantee
+    names, sizes : the targets' names, and summaries of the sizes of their sets
+    joint_coverage : share of test samples whose targets are all in their sets
+    alpha, joint, score, n_calibration, n_test : of the calibration and the test
+    within_groups : whether coverage is guaranteed within each group
     """
 
     columns: tuple[ColumnDiagnosis, ...]
@@ -110,7 +90,7 @@ class Diagnosis:
     score: str
     n_calibration: int
     n_test: int
-    within_groups: bool = False
+    within_groups: bool
 
     def __str__(self) -> str:
         lines = [
@@ -131,12 +111,11 @@ class Diagnosis:
             least = "" if self.joint == "none" else f" (guaranteed on average: at least {1 - float(self.alpha):.4g})"
             lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{least}."]
         level, n_bands = self.columns[0].coverage.level, len(self.columns)
-        of_any = f" (one of {n_bands}: up to {min(1.0, n_bands * (1 - level)):.2g})" if n_bands > 1 else ""
         assumption = _ASSUMPTION.format(
             of_each_group=" of each group" if self.within_groups else "",
             level=f"{100 * level:g} %",
             chance=f"{1 - level:.2g}",
-            of_any=of_any,
+            of_any=f" (one of {n_bands}: up to {min(1.0, n_bands * (1 - level)):.2g})" if n_bands > 1 else "",
         )
         caveat = assumption if self.within_groups else assumption + _NOT_BY_PARTS
         return "\n".join([*lines, "", *textwrap.wrap(caveat, 110)])
@@ -149,8 +128,7 @@ def _percent(share: float) -> str:
 def _table(column: ColumnDiagnosis) -> list[str]:
     rows = column.rows()
     width = max(len(label) for label, _ in rows)
-    level = f"{100 * column.coverage.level:g}%"
-    lines = [f"coverage of {column.name}", f"  {'':{width}}  samples  coverage  {level} band"]
+    lines = [f"coverage of {column.name}", f"  {'':{width}}  samples  coverage  {100 * rows[0][1].level:g}% band"]
     for label, c in rows:
         mark = "within" if c.inside else "BELOW" if c.coverage < c.low else "above"
         lines.append(f"  {label:{width}}  {c.n_test:7d}  {c.coverage:8.3f}  [{c.low:.3f}, {c.high:.3f}]  {mark}")
@@ -163,9 +141,7 @@ def diagnose(
     y: npt.ArrayLike,
     X: npt.ArrayLike | None = None,
     groups: npt.ArrayLike | None = None,
-    names: Sequence[str] | None = None,
     level: float = 0.99,
-    random_state: Any = 0,
 ) -> Diagnosis:
     """Check a calibration on test samples that it has not seen.
 
@@ -180,8 +156,8 @@ def diagnose(
     groups
         (n,) labels, to check group by group. A :class:`~conformodal.conformal.MondrianConformal` needs them: bands are
         then those of its groups, and neither sizes nor slabs are checked.
-    names, level, random_state
-        Names of the targets, probability of every band, and seed of the slab search.
+    level
+        Probability of every band.
 
     Examples
     --------
@@ -194,45 +170,51 @@ def diagnose(
     >>> diagnose(calibrator, proba, y[1500:]).columns[0].coverage.inside
     True
     """
-    if isinstance(calibrator, MondrianConformal):
-        if groups is None:
-            raise ConformodalError("groups are needed to check a MondrianConformal")
-        regions = calibrator.predict(proba, groups)
-    elif isinstance(calibrator, SplitConformal):
-        regions = calibrator.predict(proba)
-    else:
-        hint = "for others, check_coverage takes what their regions contain"
-        raise ConformodalError(
-            f"calibrator must be Split- or MondrianConformal, got {type(calibrator).__name__}; {hint}"
-        )
     values = as_targets(y, n_targets=calibrator.bins.n_targets)
-    if values.shape[0] == 0:
-        raise ConformodalError("y must hold at least one test sample")
-    inside, given = regions.contains(values), names
-    if given is None:
-        given = calibrator.bins.names or [f"target {j}" for j in range(inside.shape[1])]
-    targets = tuple(map(str, given if isinstance(given, Iterable) and not isinstance(given, str) else []))
-    if len(targets) != inside.shape[1]:
-        raise ConformodalError(f"names must hold one name per target ({inside.shape[1]}), got {brief(given)}")
-    guarantees = zip(targets, inside.T, regions.length.T, strict=True)
+    if isinstance(calibrator, SplitConformal):
+        regions = calibrator.predict(proba)
+    elif groups is None:
+        raise ConformodalError("groups are needed to check a MondrianConformal")
+    else:
+        regions = calibrator.predict(proba, groups)
+    inside = regions.contains(values)
+    names = tuple(calibrator.bins.names or [f"target {j}" for j in range(values.shape[1])])
+    guarantees = zip(names, inside.T, regions.length.T, strict=True)
     if calibrator.joint == "max":
         guarantees = zip(["all targets"], [inside.all(axis=1)], [regions.volume], strict=True)
-    n_calibration = len(calibrator.scores_)
-    law: Any = {"n_calibration": n_calibration, "alpha": calibrator.alpha_per_target, "level": level}
-    columns = []
-    for name, held, size in guarantees:
-        whole = check_coverage(held, **law)
-        if isinstance(calibrator, MondrianConformal) and groups is not None:
-            by_group = coverage_by_group(held, groups, calibrator.sizes_, law["alpha"], level)
-            pairs = [(check.n_calibration, check.n_test) for check in by_group.values()]
-            low, high = grouped_coverage_band(pairs, law["alpha"], level)
-            columns.append(ColumnDiagnosis(name, replace(whole, low=low, high=high), {}, by_group, None))
-            continue
-        by_size = coverage_by_size(held, size, **law)
-        by_group = {} if groups is None else coverage_by_group(held, groups, **law)
-        slab = None if X is None or len(held) < 2 else worst_slab(held, X, **law, random_state=random_state)
-        columns.append(ColumnDiagnosis(name, whole, by_size, by_group, slab))
-    sizes, together = tuple(summarise_sizes(regions)), float(inside.all(axis=1).mean())
-    about = calibrator.alpha, calibrator.joint, calibrator.score_.name
-    within = isinstance(calibrator, MondrianConformal)
-    return Diagnosis(tuple(columns), targets, sizes, together, *about, n_calibration, len(values), within)
+    columns = tuple(_column(calibrator, *guarantee, X, groups, level) for guarantee in guarantees)
+    return Diagnosis(
+        columns,
+        names,
+        tuple(summarise_sizes(regions)),
+        float(inside.all(axis=1).mean()),
+        calibrator.alpha,
+        calibrator.joint,
+        calibrator.score_.name,
+        len(calibrator.scores_),
+        len(values),
+        isinstance(calibrator, MondrianConformal),
+    )
+
+
+def _column(
+    calibrator: Any, name: str, held: BoolArray, sizes: FloatArray, X: Any, groups: Any, level: float
+) -> ColumnDiagnosis:
+    """Checks of a guarantee on test samples (n,); where it is not one of groups, also by size and slab."""
+    n_calibration, law = len(calibrator.scores_), (calibrator.alpha_per_target, level)
+    whole = check_coverage(held, n_calibration, *law)
+    labels, codes = ([], None) if groups is None else factorise(as_labels(groups, held.size))
+    of_group = getattr(calibrator, "sizes_", dict.fromkeys(labels, n_calibration))
+    by_group = {
+        f"group {label}": check_coverage(held[codes == k], of_group.get(label, 0), *law)
+        for k, label in enumerate(labels)
+    }
+    if isinstance(calibrator, MondrianConformal):
+        pairs = [(check.n_calibration, check.n_test) for check in by_group.values()]
+        low, high = grouped_coverage_band(pairs, *law)
+        return ColumnDiagnosis(name, replace(whole, low=low, high=high), by_group)
+    parts = {f"size {label}": check_coverage(held[rows], n_calibration, *law) for label, rows in strata_of(sizes)}
+    parts |= by_group
+    if X is not None and (rows := worst_slab(held, X)).size:
+        parts["worst slab, other samples"] = check_coverage(held[rows], n_calibration, *law)
+    return ColumnDiagnosis(name, whole, parts)

@@ -1,13 +1,14 @@
 import numpy as np
 import pytest
 from sklearn.ensemble import RandomForestClassifier
+from sklearn.linear_model import LogisticRegression
 from sklearn.neighbors import KNeighborsClassifier
 from sklearn.tree import DecisionTreeClassifier
 from sklearn.utils import check_random_state
 
-from conformodal.conformal import ConformalRegressor
-from conformodal.conformal.density.fitting import split_off
-from conformodal.conformal.density.smoothing import BinSmoothing, bin_codes
+from conformodal.conformal import ConformalRegressor, ConformodalError
+from conformodal.conformal.bins import nearest_bins
+from conformodal.conformal.density.learners import BinSmoothing, split_off
 
 CLASSIFIERS = {
     "forest": RandomForestClassifier(30, random_state=0),
@@ -49,10 +50,11 @@ def test_held_out_values_decide_how_much_to_smooth():
     n_bins, edges = 20, np.arange(21.0)
     truth = rng.dirichlet(np.full(n_bins, 0.3), 4000)
     codes = (truth.cumsum(axis=1) > rng.random((4000, 1))).argmax(axis=1)
-    smoothing = BinSmoothing(codes, codes + 0.25 + rng.random(4000) / 2, None, n_bins)
-    smoothing.tune(truth, codes, np.diff(edges), None)
+    y = codes + 0.25 + rng.random(4000) / 2
+    smoothing = BinSmoothing(y, edges, None)
+    smoothing.tune(truth, y, edges, None)
     assert smoothing.weights[0] > 0.9  # right as they are
-    smoothing.tune(rng.permutation(truth), codes, np.diff(edges), None)
+    smoothing.tune(rng.permutation(truth), y, edges, None)
     assert smoothing.weights[0] < 0.1
     assert (smoothing.weights > 0).all()
 
@@ -76,7 +78,7 @@ class Rote:
         return {}
 
     def fit_bins(self, X, y, edges):
-        self.known = dict(zip(X[:, 0].tolist(), bin_codes(y, edges).tolist(), strict=True))
+        self.known = dict(zip(X[:, 0].tolist(), nearest_bins(y, edges).tolist(), strict=True))
         self.n_bins = edges.size - 1
         return self
 
@@ -97,3 +99,16 @@ def test_scales_of_joint_coverage_come_from_rows_that_were_not_learnt_from(estim
     )
     # of rows that were learnt from the median score is 0: certainty
     assert (reg.fit(X, Y).calibrator_.loc_ > 0.5).all()
+
+
+def test_weights_reach_a_classifier_and_who_takes_none_is_named():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-1, 1, (200, 1))
+    y = X[:, 0] + rng.standard_normal(200)
+    weight = np.where(y > 0, 5.0, 1.0)
+    reg = ConformalRegressor(LogisticRegression(), n_bins=5, random_state=0)
+    plain, heavy = reg.fit(X, y).predict(X), reg.fit(X, y, weight).predict(X)
+    assert heavy.mean() > plain.mean() + 0.2
+    for estimator in (KNeighborsClassifier(), "stack"):
+        with pytest.raises(ConformodalError, match=r"cannot be fitted: .*sample_weight"):
+            ConformalRegressor(estimator, n_bins=5).fit(X, y, weight)

@@ -3,10 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conformodal.conformal import QuantileBins, Regions, SplitConformal, diagnose
-from conformodal.conformal.diagnostics.coverage import coverage_by_group, coverage_by_size
-from conformodal.conformal.diagnostics.diagnosis import summarise_sizes
-from conformodal.conformal.diagnostics.slab import lowest_run, worst_slab
+from conformodal.conformal import QuantileBins, Regions, SplitConformal, check_coverage, diagnose
+from conformodal.conformal.coverage import lowest_run, strata_of, worst_slab
+from conformodal.conformal.diagnosis import summarise_sizes
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=18), st.integers(1, 18))
@@ -23,25 +22,18 @@ def test_a_slab_that_is_missed_is_found_and_checked_on_the_other_half():
     X = rng.uniform(-1, 1, (4000, 3))
     bad = X @ [1, 1, 0] > 0.9
     inside = rng.random(4000) < np.where(bad, 0.5, 0.95)
-    found = worst_slab(inside, X, 2000, 0.1)
-    assert found.coverage < 0.75
-    assert not found.inside
-    fair = worst_slab(rng.random(4000) < 0.9, X, 2000, 0.1)
-    assert fair.inside  # though the lowest on the half that chose it lies far below
-    assert worst_slab(inside, np.zeros((4000, 1)), 2000, 0.1).n_test == 2000  # a constant input has one slab
+    assert inside[worst_slab(inside, X)].mean() < 0.75
+    fair = rng.random(4000) < 0.9
+    rows = worst_slab(fair, X)
+    assert check_coverage(fair[rows], 2000, 0.1).inside  # though the lowest on the half that chose it lies far below
+    assert len(worst_slab(inside, np.zeros((4000, 1)))) == 2000  # a constant input has one slab
 
 
 def test_strata():
-    inside = np.array([True] * 90 + [False] * 10)
-    by = coverage_by_group(inside, ["a"] * 50 + ["b"] * 50, 99, 0.1)
-    assert by["a"].coverage == 1
-    assert by["b"].coverage == 0.8
-    sizes = np.repeat([1.0, 2.0], 50)
-    assert [c.n_test for c in coverage_by_size(inside, sizes, 99, 0.1).values()] == [50, 50]
-    assert sum(c.n_test for c in coverage_by_size(inside, np.arange(100.0), 99, 0.1, strata=7).values()) == 100
-    assert len(coverage_by_size(inside, np.full(100, np.inf), 99, 0.1)) == 1
-    almost = np.where(np.arange(100) % 2, 0.3, 0.1 + 0.2)  # one length, summed in another order
-    assert len(coverage_by_size(inside, almost, 99, 0.1)) == 1
+    assert [rows.sum() for _, rows in strata_of(np.repeat([1.0, 2.0], 50))] == [50, 50]
+    assert sum(rows.sum() for _, rows in strata_of(np.arange(103.0))) == 103
+    assert len(strata_of(np.full(100, np.inf))) == 1
+    assert len(strata_of(np.where(np.arange(100) % 2, 0.3, 0.1 + 0.2))) == 1  # one length, summed in another order
 
 
 def test_sizes():
@@ -56,6 +48,7 @@ def problem(joint):
     rng = np.random.default_rng(3)
     bins = QuantileBins.from_edges([np.linspace(0, 1, 21)] * 2)
     proba, y = rng.dirichlet(np.ones(20), (900, 2)), rng.random((900, 2))
+    bins.names = ["left", "right"]
     cal = SplitConformal(bins, 0.1, "density", joint).fit_scale(proba[:100], y[:100])
     return cal.calibrate(proba[100:500], y[100:500]), proba[500:], y[500:], rng.random((400, 2))
 
@@ -63,12 +56,14 @@ def problem(joint):
 @pytest.mark.parametrize("joint", ["none", "bonferroni", "max"])
 def test_a_diagnosis_says_everything_in_one_call(joint):
     cal, proba, y, X = problem(joint)
-    found = diagnose(cal, proba, y, X, groups=np.arange(400) % 2, names=["left", "right"])
+    found = diagnose(cal, proba, y, X, groups=np.arange(400) % 2)
     inside = cal.predict(proba).contains(y)
     expected = [inside.all(axis=1).mean()] if joint == "max" else inside.mean(axis=0)
     assert [c.coverage.coverage for c in found.columns] == pytest.approx(expected)
     assert found.joint_coverage == inside.all(axis=1).mean()
-    assert all(column.coverage.inside and len(column.by_group) == 2 for column in found.columns)
+    assert all(column.coverage.inside for column in found.columns)
+    first = inside.all(axis=1) if joint == "max" else inside[:, 0]
+    assert found.columns[0].parts["group 1"].coverage == first[1::2].mean()
     text = str(found)
     for word in ("alpha = 0.1", "left", "worst slab", "group 1", "exchangeable", f"joint {joint}"):
         assert word in text

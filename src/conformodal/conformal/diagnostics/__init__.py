@@ -1,1 +1,0 @@
-"""Diagnostics of a calibration: coverage, set sizes and p-values, compared with their exact distributions."""
