@@ -22,14 +22,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("table1-out"))
     options, others = parser.parse_known_args()
     defaults = ["--seeds", "5", "--first-seed", "10", "--workers", "2"]  # a later option of the same name counts
-    command = [
-        sys.executable,
-        "-m",
-        "experiments.table1",
-        str(REDKITCHEN.resolve()),
-        "--out",
-        str(options.out.resolve()),
-    ]
+    paths = [str(REDKITCHEN.resolve()), "--out", str(options.out.resolve())]
+    command = [sys.executable, "-m", "experiments.table1", *paths]
     subprocess.run([*command, *defaults, *others], check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
     seconds = json.loads((options.out / "metrics.json").read_text(encoding="utf-8"))["seconds"]
     lines = (options.out / "table1.md").read_text(encoding="utf-8").splitlines()

@@ -91,17 +91,15 @@ def table(
 
 def _check_outputs(plot: Path | None, model: Path | None) -> None:
     """Refuse to write over what this command has not written, and without the extras, before any work begins."""
-    if plot is not None and plot.suffix not in _PICTURES:
-        raise TableError(f"{plot}: the name of a picture ends with {', '.join(_PICTURES)}")
-    if plot is not None and plot.exists() and not (plot.is_file() and b"conformodal" in plot.read_bytes()):
-        raise TableError(f"{plot}: exists and is not a picture of this command, not replaced; name another file")
+    if plot is not None:
+        if plot.suffix not in _PICTURES or (plot.exists() and b"conformodal" not in plot.read_bytes()):
+            raise TableError(f"{plot}: must be new, or a picture of this command, with {', '.join(_PICTURES)}")
+        with require_extra("figures", "--plot"):
+            import_module("matplotlib")
     if model is not None:
         check_replaceable(model)
         with require_extra("save", "--model"):
             import_module("skops")
-    if plot is not None:
-        with require_extra("figures", "--plot"):
-            import_module("matplotlib")
 
 
 def _draw(density: PredictiveDensity, regions: Regions, y: pd.DataFrame, diagnosis: Diagnosis, plot: Path) -> None:
@@ -129,7 +127,15 @@ def choose_columns(
 ) -> tuple[pd.DataFrame, pd.DataFrame, list[str]]:
     """Inputs and targets of the rows that have all targets, and what is used and left out, as lines."""
     needed = [*targets, *([] if group is None else [group])]
-    _check_columns(frame, targets, needed, file, excluded)
+    for name in (*needed, *excluded):
+        if name not in frame:
+            raise TableError(f"{file}: has no column {name!r}; its columns are {', '.join(map(repr, frame.columns))}")
+        if [*needed, *excluded].count(name) > 1:
+            raise TableError(f"{file}: column {name!r} can only be one of target, group and excluded")
+    for name in targets:
+        if frame[name].dtype.kind != "f":
+            value = str(frame[name].dropna().iloc[:1].squeeze())
+            raise TableError(f"{file}: target {name!r} must hold numbers, got {value!r}; see --decimal and --thousands")
     whole = frame[needed].notna().all(axis=1)
     gaps, used, left_out, rows = np.flatnonzero(~whole), dict[str, str](), [], frame[whole]
     if len(rows) < _FEWEST_ROWS:
@@ -147,8 +153,7 @@ def choose_columns(
         f"target: {listed(targets)}" + (f"; groups: {group}" if group else ""),
         f"used: {', '.join(list(used.values())[:_NAMED])}{more}",
     ]
-    if left_out:
-        lines.append(f"left out: {', '.join(left_out)}")
+    lines += [f"left out: {', '.join(left_out)}"] if left_out else []
     if gaps.size:
         first = ", ".join(map(str, (gaps[:5] + 1).tolist())) + (", ..." if gaps.size > 5 else "")
         lines.append(f"left out: {counted(gaps.size, 'row')} without a target or group (rows {first})")
@@ -158,28 +163,10 @@ def choose_columns(
     return inputs, rows[targets], lines
 
 
-def _check_columns(
-    frame: pd.DataFrame, targets: list[str], needed: list[str], file: str, excluded: Sequence[str]
-) -> None:
-    """Refuse columns that are not there, are asked for twice, or hold no numbers where these are needed."""
-    for name in (*needed, *excluded):
-        if name not in frame:
-            raise TableError(f"{file}: has no column {name!r}; its columns are {', '.join(map(repr, frame.columns))}")
-    for name in needed:
-        if needed.count(name) > 1 or name in excluded:
-            raise TableError(f"{file}: column {name!r} can only be one of target, group and excluded")
-    for name in targets:
-        if frame[name].dtype.kind != "f":
-            values = frame[name].dropna()
-            shown = repr(str(values.iloc[0])) if len(values) else "none at all"
-            raise TableError(f"{file}: target {name!r} must hold numbers, got {shown}; see --decimal and --thousands")
-
-
 def _describe_column(column: pd.Series) -> str:
     """A column that is used: its name, what it holds unless these are numbers, and how much of it is missing."""
     words = {"M": ["date"], "f": []}.get(column.dtype.kind, [f"text, {column.nunique()} labels"])
-    if column.hasnans:
-        words.append(f"{column.isna().mean():.0%} missing")
+    words += [f"{column.isna().mean():.0%} missing"] if column.hasnans else []
     return f"{column.name} ({', '.join(words)})" if words else str(column.name)
 
 

@@ -8,7 +8,7 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ _DATE = (  # with a year of four digits, or two at the end
     r"^((?P<year>\d{4})|\d{1,2})[-./ ](\d{1,2}|[A-Za-z]{3,9})[-./ ,]{1,2}(?(year)\d{1,2}|\d{2}(?:\d{2})?)(?!\d)"
 )
 _GROUPED = r"[-+]?[1-9]\d{0,2}([.,' ])\d{3}(?:\1\d{3})*(?:[.,]\d*)?"  # marks between thousands
-_CODES = [sign * (10**k - 1) for k in (2, 3, 4, 5) for sign in (-1, 1)]  # that often stand for missing values
+_CODES = (-99, 99, -999, 999, -9999, 9999, -99999, 99999)  # often stand for missing values
 
 
 class TableError(ConformodalError):
@@ -39,22 +39,7 @@ class CsvFormat:
     sep: str | None = None
     decimal: str | None = None
     thousands: str | None = None
-    na_values: Sequence[str] = field(default_factory=tuple)
-
-    def __post_init__(self) -> None:
-        for name in ("sep", "decimal", "thousands"):
-            mark = getattr(self, name)
-            if mark is not None and len(mark) != 1:
-                raise TableError(f"--{name} must be one character, got {mark!r}")
-
-
-@dataclass(frozen=True, eq=False)
-class _Cells:
-    """The text of all cells, without blanks around it."""
-
-    columns: pd.DataFrame
-    separator: str
-    notes: list[str]  # on how the file is arranged
+    na_values: Sequence[str] = ()
 
 
 def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFrame, list[str]]:
@@ -65,14 +50,24 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
     most cells; where none leaves no doubt, a comma beside semicolons, else a point. Marks between thousands are read
     where `written` names them, and refused elsewhere.
     """
-    cells = _cells(file, written)
-    notes, columns = cells.notes, {}
-    decimal = written.decimal or _decimal_mark(cells)
-    for name in cells.columns:
-        column = cells.columns[name]
+    for name, mark in (("sep", written.sep), ("decimal", written.decimal), ("thousands", written.thousands)):
+        if mark is not None and len(mark) != 1:
+            raise TableError(f"--{name} must be one character, got {mark!r}")
+    text = _text(file)
+    above, separator, width = _arrangement(text, file, written.sep or _SEPARATORS)
+    raw = _rows(text, file, {"sep": separator, "skiprows": above, "names": range(width)}, written.na_values)
+    cells = _named_cells(raw, file, separator)
+    notes = [f"{file}: {counted(len(cells), 'row')}, {counted(cells.shape[1], 'column')} separated by {separator!r}"]
+    notes += [f"{counted(above, 'line')} above the names passed over"] if above else []
+    joined = np.flatnonzero(cells.apply(lambda column: column.str.contains(r"[\r\n]", na=False)).any(axis=1))
+    if joined.size:
+        number = counted(joined.size, "row has values", "rows have values")
+        notes.append(f"{number} of several lines, such as row {joined[0] + 1}; a quote that is not closed joins rows")
+    decimal, columns = written.decimal or _decimal_mark(cells, separator), {}
+    for name, column in cells.items():
         values = _numbers(file, column, decimal, written.thousands)
         if values is None:
-            values = _dates(column, cells.separator)
+            values = _dates(column, separator)
         columns[name] = values = column if values is None else values
         if values.dtype.kind == "M":
             at = (values.dt.day != values.dt.month).where(values.notna(), False).idxmax()
@@ -84,11 +79,9 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
     return pd.DataFrame(columns), notes
 
 
-def _cells(file: Path, written: CsvFormat) -> _Cells:
-    text = _text(file)
-    above, separator, width = _arrangement(text, file, written.sep or _SEPARATORS)
-    shape: dict[str, Any] = {"sep": separator, "skiprows": above, "header": None, "names": range(width)}
-    shape |= {"na_values": list(written.na_values), "skipinitialspace": True, "index_col": False}
+def _rows(text: str, file: Path, shape: dict[str, Any], na_values: Sequence[str]) -> pd.DataFrame:
+    """The text of all cells, names among them, without blanks around it."""
+    shape |= {"na_values": list(na_values), "header": None, "skipinitialspace": True, "index_col": False}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # of rows longer than those looked at
@@ -97,7 +90,11 @@ def _cells(file: Path, written: CsvFormat) -> _Cells:
         raise TableError(f"{file}: cannot be read as CSV: {' '.join(str(exc).split())}") from None
     if raw.empty:
         raise TableError(f"{file}: cannot be read as CSV: holds no values")
-    raw = raw.apply(lambda column: column.str.strip().replace("", None))
+    return raw.apply(lambda column: column.str.strip().replace("", None))
+
+
+def _named_cells(raw: pd.DataFrame, file: Path, separator: str) -> pd.DataFrame:
+    """The cells below the names, which head the columns; names that are not clear are refused."""
     head, raw = raw.iloc[0], raw[1:].reset_index(drop=True)
     n_named = int(np.flatnonzero(head.notna())[-1]) + 1
     quotes = f"values that hold {separator!r}, as decimal commas, need quotes or another separator"
@@ -109,13 +106,7 @@ def _cells(file: Path, written: CsvFormat) -> _Cells:
         raise TableError(f"{file}: expected names above the columns, got {', '.join(names[:_SHOWN])}; {quotes}")
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise TableError(f"{file}: several columns are called {listed(twice)}; rename them")
-    notes = [f"{file}: {counted(len(raw), 'row')}, {counted(n_named, 'column')} separated by {separator!r}"]
-    notes += [f"{counted(above, 'line')} above the names passed over"] if above else []
-    joined = np.flatnonzero(raw.apply(lambda column: column.str.contains(r"[\r\n]", na=False)).any(axis=1))
-    if joined.size:
-        number = counted(joined.size, "row has values", "rows have values")
-        notes.append(f"{number} of several lines, such as row {joined[0] + 1}; a quote that is not closed joins rows")
-    return _Cells(raw.iloc[:, :n_named].set_axis(names, axis=1), separator, notes)
+    return raw.iloc[:, :n_named].set_axis(names, axis=1)
 
 
 def _text(file: Path) -> str:
@@ -126,10 +117,10 @@ def _text(file: Path) -> str:
     marked = content[:2] in (b"\xff\xfe", b"\xfe\xff")
     if b"\0" in content and not marked:
         raise TableError(f"{file}: is not text; save the spreadsheet as CSV")
-    for encoding in ["utf-16"] if marked else ["utf-8-sig", "cp1252", "latin-1"]:
+    for encoding in ["utf-16"] if marked else ["utf-8-sig", "cp1252"]:
         with suppress(UnicodeDecodeError):
             return content.decode(encoding)
-    raise TableError(f"{file}: its text cannot be decoded as UTF-16; save it as CSV in UTF-8")
+    raise TableError(f"{file}: its text cannot be decoded as UTF-8 or UTF-16; save it as CSV in UTF-8")
 
 
 def _arrangement(text: str, file: Path, separators: str) -> tuple[int, str, int]:
@@ -138,7 +129,7 @@ def _arrangement(text: str, file: Path, separators: str) -> tuple[int, str, int]
     Most rows have equally many values, more than one; names have as many. Of several separators, the one with the least
     above the names is right.
     """
-    candidates, endless = [], 0
+    candidates = []
     for k, separator in enumerate(separators):
         reader = csv.reader(io.StringIO(text[:_SAMPLE], newline=""), delimiter=separator, skipinitialspace=True)
         rows, at = [], 0
@@ -148,26 +139,24 @@ def _arrangement(text: str, file: Path, separators: str) -> tuple[int, str, int]
                 rows += [(at, filled[-1], len(row))] if filled else []
                 at = reader.line_num
         except csv.Error:  # a value longer than Python's limit
-            endless = at + 1
             continue
         usual = Counter(n for _, n, _ in rows).most_common(1)[0][0] if rows else 1
         above = next((at for at, n, _ in rows if n >= usual), 0)
         candidates.append((usual == 1, above, k, separator, max((n for *_, n in rows), default=1)))
-    if endless and all(single for single, *_ in candidates):
-        limit = csv.field_size_limit()
-        raise TableError(f"{file}: line {endless}: a value has more than {limit} characters; is its quote not closed?")
+    if len(candidates) < len(separators) and all(single for single, *_ in candidates):
+        raise TableError(f"{file}: a value has more than {csv.field_size_limit()} characters; is a quote not closed?")
     _, above, _, separator, width = min(candidates)
     return above, separator, width
 
 
-def _decimal_mark(cells: _Cells) -> str:
+def _decimal_mark(cells: pd.DataFrame, separator: str) -> str:
     marks = Counter[str]()
-    for name in cells.columns:
+    for column in cells:
         for mark, other in (".,", ",."):  # three digits may follow a mark between thousands, but not after 0 or 1234
             pattern = rf"[-+]?([\d' {other}]*\{mark}(\d{{1,2}}|\d{{4,}})|(0|\d{{4,}})?\{mark}\d{{3}})"
-            marks[mark] += int(cells.columns[name].str.fullmatch(pattern).sum())
+            marks[mark] += int(cells[column].str.fullmatch(pattern).sum())
     if marks["."] == marks[","]:
-        return "," if cells.separator == ";" else "."
+        return "," if separator == ";" else "."
     return max(marks, key=lambda mark: marks[mark])
 
 
