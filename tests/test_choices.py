@@ -7,8 +7,8 @@ from conformodal.conformal import ConformodalError
 from conformodal.geometry import Trajectory, align
 from conformodal.io import Split, SplitKind, make_split, read_recording
 from conformodal.io.convert import write_layout
-from conformodal.io.streams.opening import open_stream
-from conformodal.io.streams.prefetch import prefetch
+from conformodal.io.streams import open_stream
+from conformodal.io.streams.frames import prefetch
 from conformodal.localizer.radius import Guarantee, PoseRadius
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
 

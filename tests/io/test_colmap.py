@@ -69,8 +69,8 @@ DAMAGES = {
     "fewer images counted": (counted("images", 4), r"images\.bin: has \d+ bytes"),
     "too many images counted": (counted("images", 2**63), "cannot be read"),
     "no image": (lambda content: {**content, "images": bytes(8)}, r"images\.bin: holds no image"),
-    "an image twice": (named_twice, r"images\.bin: names '0004\.png' a second time"),
-    "a lens that is not read": (of_model(10), "camera 3: camera model THIN_PRISM_FISHEYE is none of"),
+    "an image twice": (named_twice, r"images\.bin: holds .* one twice"),
+    "a lens that is not read": (of_model(10), "camera 3: camera model THIN_PRISM_FISHEYE .* is none of"),
 }
 
 
@@ -100,7 +100,7 @@ def test_images_that_colmap_has_no_pose_for_are_frames_without_one_and_folders_a
         (tmp_path / "images" / f"000{i}.png").rename(tmp_path / "images" / name)
         lists.write_text(lists.read_text().replace(f" 3 000{i}.png", f" 3 {name}"))
     picture(tmp_path / "images" / "left" / "0001b.png", 7)
-    with pytest.warns(DatasetWarning, match=r"1 x no pose: 0001b\.png: .*images\.txt: does not name it"):
+    with pytest.warns(DatasetWarning, match=r"1 x no pose: 0001b\.png: .*images\.txt: .* does not name"):
         whole = read_recording(tmp_path, require_poses=False)
     assert [path.name for path in whole.image_paths][:3] == ["0000.png", "0001.png", "0001b.png"]
     assert whole.recording.tolist() == [0, 0, 0, 0, 1, 1]

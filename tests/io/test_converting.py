@@ -1,15 +1,12 @@
 """Conversions lose nothing in silence, and leave nothing by halves."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from conformodal.geometry import PinholeCamera, Trajectory
 from conformodal.io import DatasetError, Layout, read_recording
 from conformodal.io.convert import WRITABLE, write_layout
-from conformodal.io.streams.frames import Frame
-from conformodal.io.streams.stored import RecordingStream
+from conformodal.io.streams.frames import Frame, RecordingStream
 from tests.helpers import contents, fill, run_ok
 from tests.io.test_layouts import PLACES, WRITERS, N
 
@@ -85,12 +82,6 @@ def test_a_failure_leaves_nothing(tmp_path, layout, error, there):
 
 
 KNOWABLE = {
-    "several recordings": (lambda s: replace(s, recording=np.array([0, 0, 0, 1, 1])), {}, "several recordings"),
-    "no pose near": (
-        lambda s: s,
-        {"poses": replace(poses_for(), timestamps_s=900 + np.arange(9.0))},
-        "no frame has a pose by its time",
-    ),
     "a layout that is read only": (lambda s: s, {"layout": Layout.KITTI}, "layout must be"),
     "a folder that is full": (lambda s: s, {"out": "full"}, "not empty"),
     "a file": (lambda s: s, {"out": "file"}, "is a file"),

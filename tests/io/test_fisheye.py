@@ -147,6 +147,6 @@ def test_coefficients_of_no_lens_are_refused(tmp_path, what):
     lens = BAD[what]
     write_colmap(tmp_path / "a", (*F, *lens))
     write_nerf(tmp_path / "b", dict(zip(("k1", "k2", "k3", "k4"), lens, strict=True)))
-    for name, file in (("a", r"cameras\.txt, line 1"), ("b", r"transforms\.json")):
+    for name, file in (("a", r"cameras\.txt, camera 1"), ("b", r"transforms\.json")):
         with pytest.raises(DatasetError, match=file):
             read_recording(tmp_path / name)

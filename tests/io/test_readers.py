@@ -88,12 +88,9 @@ def test_poses_at_another_rate_are_interpolated(tmp_path, rate, shift):
     assert shift == 0.0 or any(f"gap bridged is {1 / rate:.3g} s" in where for _, where in recording.notes)
 
 
-def test_the_gap_that_is_bridged_has_a_limit_that_a_file_sets(tmp_path):
-    folder = tum(tmp_path, path_at(99.95 + 0.3 * np.arange(4)))
-    with pytest.raises(DatasetError, match=r"write a longer one into max-gap\.txt"):
-        read_recording(folder)
-    (folder / "max-gap.txt").write_text("0.31\n")
-    right(read_recording(folder))
+def test_a_gap_that_is_too_long_is_refused(tmp_path):
+    with pytest.raises(DatasetError, match=r"within 0\.15 s .*give poses at the images' times"):
+        read_recording(tum(tmp_path, path_at(99.95 + 0.3 * np.arange(4))))
 
 
 @pytest.mark.parametrize(
@@ -225,7 +222,6 @@ WIDE = 2 * np.arctan(32 / 40)
         ({"camera_angle_x": None, "camera_angle_y": 2 * np.arctan(24 / 44)}, {}, (44, 44)),
         ({"camera_angle_x": None, "fl_y": 44}, {}, (44, 44)),
         (dict.fromkeys(("camera_angle_x", "cx", "cy")), {"fl_x": 40, "fl_y": 41, "w": 64, "h": 48}, (40, 41)),
-        ({"fl_x": 80, "fl_y": 80}, {"camera_angle_x": WIDE}, (40, 40)),
         ({"fl_x": 40, "fl_y": 41}, {"camera_angle_x": None}, (40, 41)),
     ],
 )
@@ -249,8 +245,7 @@ def test_frames_of_nerf_as_its_programs_write_them(tmp_path, how):
             path.unlink()
     if how == "training frames":
         (tmp_path / "transforms_test.json").write_text("{}")
-    right(recording := read_recording(tmp_path))
-    assert ("other frames are not read" in dict(recording.notes)) == (how == "training frames")
+    right(read_recording(tmp_path))
 
 
 # ---- images

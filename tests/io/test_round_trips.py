@@ -12,7 +12,7 @@ from PIL import Image
 from conformodal.geometry import PinholeCamera, Trajectory
 from conformodal.io import Recording, read_recording
 from conformodal.io.convert import WRITABLE, write_layout
-from conformodal.io.streams.stored import RecordingStream
+from conformodal.io.streams.frames import RecordingStream
 
 SIZE = (64, 48)
 LENSES = [(), (-0.1, 0.02, 0.001, 0.002), (-0.1, 0.02, 0.001, 0.002, 0.003)]

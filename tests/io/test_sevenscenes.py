@@ -74,13 +74,12 @@ def test_a_recording_and_a_scene_without_lists_give_no_test_frames(tmp_path):
 @pytest.mark.parametrize(
     ("train", "test", "match"),
     [
-        ("sequence1\n", "sequence2\n\nsequence3\nsequence7\n", r"TestSplit\.txt: line 4"),
-        ("sequence1\n", "sequence2\n", r"TrainSplit\.txt: names seq-03 in no line"),
-        ("sequence1\nsequence2\n", "sequence3\nsequence2\n", r"TestSplit\.txt: line 2"),
-        ("sequence1\nsequence1\n", "sequence2\nsequence3\n", r"TrainSplit\.txt: line 2"),
-        ("sequence1\nall the rest\n", "sequence2\n", r"TrainSplit\.txt: line 2"),
-        ("\n", "sequence1\nsequence2\nsequence3\n", r"TrainSplit\.txt: names no recording"),
-        ("sequence1\nsequence2\nsequence3\n", "", r"TestSplit\.txt: names no recording"),
+        ("sequence1\n", "sequence2\n\nsequence3\nsequence7\n", r"TestSplit\.txt \[2, 3, 7\]"),
+        ("sequence1\n", "sequence2\n", r"each of the folders \[1, 2, 3\] once"),
+        ("sequence1\nsequence2\n", "sequence3\nsequence2\n", r"TestSplit\.txt \[3, 2\]"),
+        ("sequence1\nall the rest\n", "sequence2\n", r"TrainSplit\.txt, line 2"),
+        ("\n", "sequence1\nsequence2\nsequence3\n", r"TrainSplit\.txt: holds no line"),
+        ("sequence1\nsequence2\nsequence3\n", "", r"TestSplit\.txt: holds no line"),
     ],
 )
 def test_lists_that_do_not_name_every_recording_once_are_told_by_file_and_line(tmp_path, train, test, match):

@@ -9,8 +9,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from conformodal.io import ImageError, read_recording
-from conformodal.io.streams.frames import Frame, SourceError
-from conformodal.io.streams.stored import RecordingStream
+from conformodal.io.streams.frames import Frame, RecordingStream, SourceError
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.filter import filter_posteriors
 from conformodal.localizer.observations import choose_places, same_place

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.extras import MissingPackageError
 from conformodal.geometry import Trajectory
+from conformodal.io.streams import open_stream
 from conformodal.io.streams.frames import Frame
-from conformodal.io.streams.opening import open_stream
 from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.results import read_region_records, read_trajectories
 from conformodal.ros.bag import BagWriter

@@ -18,9 +18,7 @@ from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted, noun_for
 from conformodal.geometry import Trajectory
 from conformodal.io import Recording
-from conformodal.io.streams.frames import Frame, FrameStream, SourceError
-from conformodal.io.streams.prefetch import Pace, prefetch
-from conformodal.io.streams.stored import RecordingStream
+from conformodal.io.streams.frames import Frame, FrameStream, Pace, RecordingStream, SourceError, prefetch
 from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.estimates import Estimate

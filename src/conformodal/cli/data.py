@@ -18,11 +18,9 @@ from conformodal.io import DatasetError, Layout, Recording, check_recording
 from conformodal.io.cameras import camera_beside
 from conformodal.io.check import DatasetCheck
 from conformodal.io.convert import WRITABLE, write_layout
-from conformodal.io.joining import join_recordings
-from conformodal.io.lenses import as_camera
 from conformodal.io.reading import Note
-from conformodal.io.streams.frames import FrameStream
-from conformodal.io.streams.stored import RecordingStream
+from conformodal.io.recording import as_camera, join_recordings
+from conformodal.io.streams.frames import FrameStream, RecordingStream
 from conformodal.localizer.overlap import Overlap, measure_overlap
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import lock_output, write_metrics
@@ -142,8 +140,7 @@ def convert(
     with progress_bars() as report:
         done = write_layout(out, to, stream, lens, truth, lambda n: report("frames", n, max(total, n)), max_gap_s=gap_s)
     report_line(f"{counted(done.n_frames, 'frame')} written as {to}, {done.n_posed} of them with poses")
-    for note in done.notes:
-        report_line(f"note: {note}")
+    report_notes(done.notes)
     print_where(out)
 
 

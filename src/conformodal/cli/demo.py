@@ -21,8 +21,7 @@ from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory
 from conformodal.io import Recording, read_recording
 from conformodal.io.pose_files import write_tum
-from conformodal.io.streams.frames import Frame
-from conformodal.io.streams.stored import RecordingStream
+from conformodal.io.streams.frames import Frame, RecordingStream
 from conformodal.localizer.regions import PoseRegions
 from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.estimates import Estimate

@@ -11,12 +11,10 @@ from typing import Annotated
 import typer
 
 from conformodal.io import Layout
-from conformodal.io.joining import join_streams
-from conformodal.io.lenses import as_camera, describe_change
+from conformodal.io.cameras import describe_change
+from conformodal.io.recording import as_camera
 from conformodal.io.streams.bag import BagStream
-from conformodal.io.streams.frames import FrameStream
-from conformodal.io.streams.prefetch import Pace
-from conformodal.io.streams.stored import RecordingStream
+from conformodal.io.streams.frames import FrameStream, Pace, RecordingStream, join_streams
 from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.results import lock_output

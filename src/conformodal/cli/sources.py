@@ -17,13 +17,12 @@ from conformodal.geometry import Trajectory
 from conformodal.geometry.metrics import MAX_GAP_S
 from conformodal.io import DatasetError, DatasetWarning, Layout, Recording, read_recording, recognise
 from conformodal.io.folders import check_writable
-from conformodal.io.joining import join_recordings
 from conformodal.io.pose_files import read_tum
 from conformodal.io.reading import Note, by_what
+from conformodal.io.recording import join_recordings
+from conformodal.io.streams import open_stream
 from conformodal.io.streams.bag import BagStream
-from conformodal.io.streams.frames import FrameStream
-from conformodal.io.streams.opening import open_stream
-from conformodal.io.streams.stored import RecordingStream
+from conformodal.io.streams.frames import FrameStream, RecordingStream
 
 from .console import OptionError, report_line, warning_lines
 
@@ -95,7 +94,7 @@ def open_sequence(path: Path, layout: Layout, *, notes: bool = True, **options: 
 
 
 def open_sequences(paths: Sequence[Path], layout: Layout, *, test: Path | None = None, **options: Any) -> Recording:
-    """Read data sets as one, see :func:`~conformodal.io.joining.join_recordings`; `test` is one that tests."""
+    """Read data sets as one, see :func:`~conformodal.io.recording.join_recordings`; `test` is one that tests."""
     every = [*paths, *([] if test is None else [test])]
     parts = [open_sequence(path, layout, require_poses=True, **options) for path in every]
     whole = join_recordings(parts, None if test is None else [path is test for path in every])
@@ -122,7 +121,7 @@ def read_poses(
 def open_source(
     source: str, layout: Layout, *, topic: str | None = None, as_trained: bool = False, **options: Any
 ) -> FrameStream:
-    """Open anything that gives frames, see :func:`~conformodal.io.streams.opening.open_stream`; says what it is.
+    """Open anything that gives frames, see :func:`~conformodal.io.streams.open_stream`; says what it is.
 
     With `as_trained`, a data set where only some frames have poses is read as for training: without the others.
     """

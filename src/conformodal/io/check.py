@@ -9,13 +9,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .cameras import OF_LAYOUT, SCALED, UNDISTORTED
+from .cameras import OF_LAYOUT, OTHER_CAMERA, SCALED, UNDISTORTED
 from .convention import fit_of_poses
 from .decoding import TURNED
 from .errors import ImageError
-from .frame_table import CONVERTED, INTERPOLATED, SCALED_BITS
+from .frame_table import CONVERTED, INTERPOLATED
 from .layouts.euroc import SHIFTED
-from .lenses import OTHER_CAMERA
 from .reading import by_what
 from .recording import Recording
 
@@ -23,7 +22,7 @@ from .recording import Recording
 _GAP, _JUMP = 3.0, 10.0
 _LEAST_JUMP_M = 0.05
 # What a reader did, and nothing that is wrong.
-_NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, SCALED_BITS, TURNED, INTERPOLATED, CONVERTED, SHIFTED, OF_LAYOUT}
+_NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, TURNED, INTERPOLATED, CONVERTED, SHIFTED, OF_LAYOUT}
 
 
 @dataclass

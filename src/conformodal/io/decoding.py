@@ -12,19 +12,17 @@ import cv2
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from conformodal.core.arrays import AnyArray, Float32Array, UInt8Array, evenly_spread
+from conformodal.core.arrays import Float32Array, UInt8Array, evenly_spread
 
-from .errors import ImageError
+from .errors import DatasetError, ImageError
 
 _FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM", "GIF")
-# A small file that claims more pixels than this, and so many per byte, was made to fill the memory.
-_FREE_PIXELS, _PIXELS_PER_BYTE = 16_000_000, 20
+_MOST_PIXELS = 64_000_000  # no camera has more, and a small file that claims them would fill the memory
 _ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
 _ORIENTATION, _PHOTOMETRIC, _SIDEWAYS = 0x0112, 0x0106, 5
-_WHITES = (1023, 4095, 16383, 65535)
-WIDEST = _WHITES[-1]
-TURNED = "images are turned"
+_WIDEST, _LEAST_WHITE = 65535, 64  # of 16 bits; of 255, in the brightest image of a data set
 _SAMPLES = 9
+TURNED = "images are turned"
 THUMBNAIL = (32, 24)
 _BEFORE_BLUR = 128  # pixels across
 
@@ -56,57 +54,30 @@ def is_turned(path: Path) -> bool:
     return False
 
 
-def sample_wide(paths: list[Path]) -> list[AnyArray]:
-    """The numbers of a few evenly spread images of 16 bits; those of 8, or that cannot be read, are passed over."""
-    samples = []
-    for path in (paths[i] for i in evenly_spread(len(paths), _SAMPLES)):
-        with suppress(Exception), _opened(path, "") as image:
-            samples.append(_wide(image, path))
-    return [wide for wide in samples if wide is not None]
-
-
-def white_in(content: bytes) -> int:
-    """The level that is shown as white in an image file's content: 255 with 8 bits, or where it is not an image."""
-    with suppress(Exception), _opened(content, "") as image:
-        if (wide := _wide(image, content)) is not None:
-            return white_level(wide)
-    return 255
-
-
-def _wide(image: Image.Image, source: Path | bytes) -> AnyArray | None:
-    """The numbers (height, width, 1 or 3) of an image of 16 bits, not turned; None for one of 8.
-
-    Pillow keeps only the upper half of the bits of colours.
-    """
-    tile = getattr(image, "tile", None)
-    raw = str(tile[0][3]) if tile else ""
-    if not (image.mode.startswith("I") or ";16" in raw or (image.format == "PPM" and str(WIDEST) in raw)):
-        return None
-    image.load()  # which refuses truncated files
-    if image.mode.startswith("I"):
-        return np.clip(np.asarray(image).astype(np.int64), 0, WIDEST)[..., None]
-    content = np.frombuffer(source if isinstance(source, bytes) else source.read_bytes(), dtype=np.uint8)
-    colours = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
-    if colours is None or colours.dtype != np.uint16 or colours.shape[:2] != (image.height, image.width):
-        raise ValueError("its 16-bit colours cannot be decoded")
-    return colours[..., 2::-1] if colours.ndim == 3 else colours[..., None]
-
-
 def common_size(paths: list[Path]) -> tuple[int, int]:
     """The size that most of a few evenly spread images have; else that of the first image that can be read."""
     sizes: Counter[tuple[int, int]] = Counter()
-    first: ImageError | None = None
-    spread = evenly_spread(len(paths), _SAMPLES).tolist()
-    for k, path in enumerate([*(paths[i] for i in spread), *paths]):
+    spread = [paths[i] for i in evenly_spread(len(paths), _SAMPLES)]
+    for k, path in enumerate([*spread, *paths]):
         if k >= len(spread) and sizes:
             break
-        try:
+        with suppress(ImageError):
             sizes[image_size(path)] += 1
-        except ImageError as exc:
-            first = first or exc
-    if not sizes:
-        raise first or ImageError("no image was given, expected at least one")
-    return sizes.most_common(1)[0][0]
+    return sizes.most_common(1)[0][0] if sizes else image_size(paths[0])  # the latter raises
+
+
+def refuse_few_bits(paths: list[Path]) -> None:
+    """Refuse 16-bit images that use fewer bits, by a few evenly spread ones: read as 8 bits they are black."""
+    brightest = []
+    for path in (paths[i] for i in evenly_spread(len(paths), _SAMPLES)):
+        with suppress(ImageError), _opened(path, "") as image:
+            if _is_wide(image):
+                brightest.append(int(decode(path, "").max()))
+    if brightest and max(brightest) < _LEAST_WHITE:
+        raise DatasetError(
+            f"{paths[0]}: has 16 bits, and images use less than a quarter of their range; scale all of them by one "
+            "factor, such as to 8 bits"
+        )
 
 
 def image_fault(path: Path, size: tuple[int, int]) -> str:
@@ -134,8 +105,8 @@ def _check_size(name: Path | str, size: tuple[int, int], expected: tuple[int, in
 def read_image(path: Path, size: tuple[int, int] | None = None) -> UInt8Array:
     """Decode an image whole, as (height, width, 3) RGB.
 
-    Grey images become RGB; of 16 bits the 10, 12, 14 or 16 that are used are scaled to 8; what is transparent lies on
-    black; an image is turned as its EXIF orientation says.
+    Grey images become RGB; 16 bits become 8; what is transparent lies on black; an image is turned as its EXIF
+    orientation says.
 
     Parameters
     ----------
@@ -154,27 +125,19 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> UInt8Array:
     return decode(path, str(path), size)
 
 
-def decode(
-    source: Path | bytes, name: str, size: tuple[int, int] | None = None, white: int | None = None
-) -> UInt8Array:
-    """As :func:`read_image`, of a file or of its content.
-
-    `name` is for people; `white` the level of a 16-bit image that becomes 255, by default of the bits that it uses.
-    """
+def decode(source: Path | bytes, name: str, size: tuple[int, int] | None = None) -> UInt8Array:
+    """As :func:`read_image`, of a file or of its content; `name` is for people."""
     with _opened(source, name) as image:
         if size is not None:
             _check_size(name, _size(image), size)
         try:
-            turned, pixels = _orientation(image), _rgb(image, source, white)
-            return pixels if turned == 1 else _upright(pixels, turned)
+            if (stated := _orientation(image)) == 1:
+                return _rgb(image)
+            upright = Image.fromarray(_rgb(image))
+            upright.getexif()[_ORIENTATION] = stated
+            return np.asarray(ImageOps.exif_transpose(upright))
         except Exception as exc:  # decoders raise whatever damaged bytes lead them to
             raise ImageError(f"{name}: cannot be decoded as an image: {type(exc).__name__}: {exc}") from exc
-
-
-def _upright(pixels: UInt8Array, stated: int) -> UInt8Array:
-    image = Image.fromarray(pixels)
-    image.getexif()[_ORIENTATION] = stated
-    return np.asarray(ImageOps.exif_transpose(image))
 
 
 def _opened(source: Path | bytes, name: str) -> Image.Image:
@@ -182,7 +145,7 @@ def _opened(source: Path | bytes, name: str) -> Image.Image:
         raise ImageError(f"{name}: {'is not a file' if os.path.exists(source) else 'image is missing'}")
     try:
         image = Image.open(io.BytesIO(source) if isinstance(source, bytes) else source, formats=_FORMATS)
-        fault = _fault(image, len(source) if isinstance(source, bytes) else os.path.getsize(source))
+        fault = _fault(image)
     except UnidentifiedImageError as exc:
         raise ImageError(f"{name}: cannot be decoded as an image: it is none of {', '.join(_FORMATS)}") from exc
     except Exception as exc:  # as above
@@ -193,42 +156,37 @@ def _opened(source: Path | bytes, name: str) -> Image.Image:
     return image
 
 
-def _fault(image: Image.Image, n_bytes: int) -> str:
+def _fault(image: Image.Image) -> str:
     """Why an image is not read, although it is one."""
-    if image.width * image.height > max(_FREE_PIXELS, _PIXELS_PER_BYTE * n_bytes):
-        return f"claims {image.width}x{image.height} pixels in {n_bytes} bytes: too many to be an image of a camera"
+    if image.width * image.height > _MOST_PIXELS:
+        return f"claims {image.width}x{image.height} pixels, expected at most {_MOST_PIXELS}"
     n_pictures = 1 if image.format == "MPO" else getattr(image, "n_frames", 1)
     if n_pictures != 1:
         return f"holds {n_pictures} pictures, expected one; write each into a file of its own"
-    if image.mode == "F" or (image.mode == "I" and image.format not in ("PNG", "PPM")):
-        return (
-            f"holds numbers without a white level (mode {image.mode}); expected 8 or 16 bits: scale and write it anew"
-        )
+    # Pillow passes over a 16-bit TIFF's tag that zero is white
+    inverted = _is_wide(image) and image.format == "TIFF" and image.tag_v2.get(_PHOTOMETRIC) == 0  # type: ignore[attr-defined]
+    if inverted or image.mode == "F" or (image.mode == "I" and image.format not in ("PNG", "PPM")):
+        return f"holds numbers without a white level (mode {image.mode}); write it anew with 8 bits"
     return ""
 
 
-def _rgb(image: Image.Image, source: Path | bytes, white: int | None) -> UInt8Array:
+def _is_wide(image: Image.Image) -> bool:
+    """Whether an image has 16 bits."""
+    tile = getattr(image, "tile", None)
+    raw = str(tile[0][3]) if tile else ""
+    return image.mode.startswith("I") or ";16" in raw or (image.format == "PPM" and str(_WIDEST) in raw)
+
+
+def _rgb(image: Image.Image) -> UInt8Array:
     """Pixels as they are stored."""
-    if (wide := _wide(image, source)) is not None:
-        eight = to_eight_bits(wide, white or white_level(wide))
-        if image.format == "TIFF" and image.tag_v2.get(_PHOTOMETRIC) == 0:  # type: ignore[attr-defined]
-            eight = 255 - eight  # its zero is white, which Pillow passes over
-        return np.repeat(eight, 3, axis=2) if eight.shape[2] == 1 else eight
+    if image.mode.startswith("I"):
+        wide = np.clip(np.asarray(image).astype(np.int64), 0, _WIDEST)
+        eight = ((wide * 255 + _WIDEST // 2) // _WIDEST).astype(np.uint8)
+        return np.repeat(eight[..., None], 3, axis=2)
     if not image.has_transparency_data:
         return np.asarray(image.convert("RGB"))
     rgba = np.asarray(image.convert("RGBA"))
     return np.asarray((rgba[..., :3].astype(np.uint16) * rgba[..., 3:] + 127) // 255, dtype=np.uint8)
-
-
-def white_level(wide: AnyArray) -> int:
-    """The largest number of the bits that a 16-bit image uses: sensors have 10, 12, 14 or 16."""
-    most = int(wide.max(initial=0))
-    return next(white for white in _WHITES if most <= white)
-
-
-def to_eight_bits(wide: AnyArray, white: int) -> UInt8Array:
-    """Numbers of a 16-bit image at 8 bits, where `white` becomes 255."""
-    return np.asarray((np.minimum(wide.astype(np.int64), white) * 255 + white // 2) // white, dtype=np.uint8)
 
 
 def thumbnail(image: UInt8Array) -> Float32Array:

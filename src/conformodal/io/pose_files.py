@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +26,13 @@ from .reading import number, numbers_in, parse_lines, read_lines, tokens, whole_
 
 KITTI_RATE_HZ = 10.0
 TUM_HEADER = "# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"
+Faults = dict[int, str]  # by row
 # Farther away than any place, in metres: squares of larger numbers overflow.
 _MOST_M = 1e9
 _LENGTH_OFF = 0.01  # of a unit quaternion
 _HEAD_LINES = 5
 _LOST_STEPS, _LARGE = 10, 95  # from the identity to the poses around it, each as large as this percentile
 _COLUMN = re.compile(r"\bq(?:uat)?(?:[a-z_.]*[_.])?([wxyz])\b", re.IGNORECASE)
-# Fractions of seconds that are whole micro- or nanoseconds without the zeros before them: digits, and how many tell it.
-_UNPADDED_DIGITS, _UNPADDED_LEAST = (6, 9), 30
 
 
 @dataclass(eq=False)
@@ -42,25 +42,26 @@ class PoseRows:
     Attributes
     ----------
     rows
-        (n, 7) or (n, 8). A damaged row holds NaN but for its time.
-    damaged
-        What is wrong with a row, by its number.
+        (n, 7) or (n, 8). A row without a sound pose holds NaN but for its time.
+    faults
+        Why a row has no pose.
     doubts
         What is unlikely.
     """
 
     path: Path
     rows: FloatArray
-    damaged: dict[int, str] = field(default_factory=dict)
+    faults: Faults = field(default_factory=dict)
     doubts: list[str] = field(default_factory=list)
 
-    def drop(self, faults: dict[int, str]) -> None:
-        """Note faulty poses as damaged, and refuse a file without a sound one."""
-        lines = {i: f"{self.path}: pose {i} (counted from 0): {why}" for i, why in faults.items()}
-        self.damaged = lines | self.damaged
-        if lines and len(self.damaged) == len(self.rows):
-            raise DatasetError(lines[min(lines)])
-        self.rows[list(lines), -7:] = np.nan
+    def drop(self, faults: Faults) -> None:
+        """Take the poses of faulty rows away, and of those with NaN; refuse a file without a sound one."""
+        missing = np.flatnonzero(~np.isfinite(self.rows).all(axis=1)).tolist()
+        faults = dict.fromkeys(missing, "holds NaN or infinity") | faults
+        self.faults = {i: f"{self.path}: pose {i} (counted from 0): {why}" for i, why in sorted(faults.items())}
+        if len(faults) == len(self.rows):
+            raise DatasetError(self.faults[0])
+        self.rows[list(faults), -7:] = np.nan
 
 
 def tum_lines(trajectory: Trajectory) -> list[str]:
@@ -79,14 +80,13 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
 def read_tum(path: Path) -> Trajectory:
     """Read a trajectory; warns of rows without a pose, which are left out, and of quaternions not of unit length."""
     table = tum_table(path)
-    doubts, rows = table.doubts, table.rows[np.isfinite(table.rows).all(axis=1)]
-    if table.damaged:
-        first = table.damaged[min(table.damaged)]
-        doubts.append(f"{len(table.damaged)} x left out, pose cannot be used: {first}")
+    rows = table.rows[np.isfinite(table.rows).all(axis=1)]
     rows[:, 0], unit = in_seconds(rows[:, 0])
+    if table.faults:
+        table.doubts.append(f"{len(table.faults)} x left out, pose cannot be used: {table.faults[min(table.faults)]}")
     if unit:
-        doubts.append(f"{path}: its times look like {unit}, and are read as such")
-    for doubt in doubts:
+        table.doubts.append(f"{path}: its times look like {unit}, and are read as such")
+    for doubt in table.doubts:
         warnings.warn(doubt, stacklevel=2)
     try:
         return Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
@@ -96,52 +96,44 @@ def read_tum(path: Path) -> Trajectory:
 
 def tum_table(path: Path) -> PoseRows:
     """Rows with times (n, 8) of a file in TUM's format."""
-    stamps: list[str] = []
-
-    def parse(line: str) -> list[float]:
-        row = numbers_in(line)
-        stamps.append(tokens(line)[0])
-        return row
-
-    table = read_rows(path, parse, 8, "eight numbers 'timestamp tx ty tz qx qy qz qw'")
-    if doubt := unpadded_doubt(stamps):
-        table.doubts.append(f"{path}: {doubt}")
-    return _checked(table, "xyzw")
+    return _timed(path, partial(numbers_in, count=8), "eight numbers 'timestamp tx ty tz qx qy qz qw'", "xyzw")
 
 
 def euroc_table(path: Path) -> PoseRows:
     """Rows with times (n, 8) of a file in EuRoC's format; the poses are those of the body, not of a camera on it."""
 
     def parse(line: str) -> list[float]:
-        time, *pose = tokens(line)[:8]
-        return [whole_number(time) / 1e9, *map(number, pose)]
+        values = tokens(line)
+        return [whole_number(values[0]) / 1e9, *(number(values[k]) for k in range(1, 8))]
 
-    return _checked(read_rows(path, parse, 8, "'timestamp [ns], x, y, z, qw, qx, qy, qz'"), "wxyz")
+    return _timed(path, parse, "'timestamp [ns], x, y, z, qw, qx, qy, qz'", "wxyz")
 
 
 def kitti_table(path: Path) -> PoseRows:
     """Rows (n, 7) of a file in KITTI's format."""
-    table = read_rows(path, numbers_in, 12, "twelve numbers", by_line=True)
-    upper = table.rows.reshape(-1, 3, 4)
+    rows = parse_lines(path, partial(numbers_in, count=12), "twelve numbers", by_line=True)
+    upper = np.array(rows).reshape(-1, 3, 4)
     poses = rigid_motions(upper[:, :, :3], upper[:, :, 3])
     faults = matrix_faults(poses)
     poses[list(faults)] = np.nan
-    table.rows = table_of(poses)
+    table = PoseRows(path, table_of(poses))
     table.drop(faults)
     return table
 
 
-def _checked(table: PoseRows, order: str) -> PoseRows:
-    """Rows (n, 8) with ``wxyz`` and without faulty poses, which keep their times; tells doubts of lengths and order."""
-    path = table.path
+def _timed(path: Path, parse: Callable[[str], list[float]], expected: str, order: str) -> PoseRows:
+    """Rows (n, 8) with quaternions ``wxyz``, of a file that has them in an order unless its head names another."""
+    table = PoseRows(path, np.array(parse_lines(path, parse, expected)))
+    if not np.isfinite(table.rows[:, 0]).all():
+        raise DatasetError(f"{path}: a time is not finite; correct or remove its line")
     if doubt := length_doubt(path, table.rows[:, 1:], 3):
         table.doubts.append(doubt)
     named = _quaternion_order(path) or order
     if named != order:
         table.doubts.append(f"{path}: its quaternions are read as {named}, as its head names them; usual is {order}")
     table.rows = rows = table.rows[:, [0, 1, 2, 3, *(4 + named.index(letter) for letter in "wxyz")]]
-    faults = pose_faults(rows[:, 1:4], rows[:, 4:])
-    table.drop(faults | lost_faults(rows[:, 1:4], (rows[:, 1:] == (0, 0, 0, 1, 0, 0, 0)).all(axis=1)))
+    lost = lost_faults(rows[:, 1:4], (rows[:, 1:] == (0, 0, 0, 1, 0, 0, 0)).all(axis=1))
+    table.drop(pose_faults(rows[:, 1:4], rows[:, 4:]) | lost)
     return table
 
 
@@ -152,45 +144,6 @@ def _quaternion_order(path: Path) -> str:
         if sorted(letters) == sorted("wxyz"):
             return letters
     return ""
-
-
-def unpadded_doubt(texts: Sequence[str]) -> str:
-    """Why fractions of seconds may be whole nanoseconds without the zeros before them, as 12.5000 for 5000 ns."""
-    fractions = [text.partition(".")[2] for text in texts]
-    longest = max(map(len, fractions), default=0)
-    of_one_length = min(map(len, fractions), default=0) == longest
-    if len(fractions) < _UNPADDED_LEAST or of_one_length or longest not in _UNPADDED_DIGITS:
-        return ""
-    if any(fraction[:1] == "0" < fraction for fraction in fractions):
-        return ""
-    shortest = min(texts, key=len)
-    return f"its times are read as decimals, such as {shortest}, and no fraction begins with 0: were zeros left out?"
-
-
-def read_rows(
-    path: Path, parse: Callable[[str], list[float]], width: int, expected: str, *, by_line: bool = False
-) -> PoseRows:
-    """Rows (n, width) of a file; it is refused if most lines do not hold `width` numbers, or all are damaged.
-
-    `expected` is what a line should be, for messages; for the others see :func:`~conformodal.io.reading.parse_lines`.
-    """
-
-    def parse_row(line: str) -> list[float]:
-        row = parse(line)
-        if len(row) != width:
-            raise ValueError(f"{len(row)} numbers")
-        return row
-
-    lines = parse_lines(path, parse_row, by_line=by_line)
-    if not lines:
-        raise DatasetError(f"{path}: holds no pose; expected lines of {expected}")
-    rows = np.array([[np.nan] * width if line.value is None else line.value for line in lines])
-    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1)).tolist()
-    rows[bad, 0 if by_line else 1 :] = np.nan
-    damaged = {i: lines[i].fault(expected) for i in bad}
-    if len(bad) == len(rows) or 2 * sum(line.value is None for line in lines) > len(rows):
-        raise DatasetError(damaged[bad[0]])
-    return PoseRows(path, rows, damaged)
 
 
 def length_doubt(path: Path, values: FloatArray, at: int) -> str:
@@ -212,40 +165,34 @@ def length_doubt(path: Path, values: FloatArray, at: int) -> str:
     )
 
 
-def pose_faults(positions: FloatArray, quats: FloatArray) -> dict[int, str]:
-    """Faults of positions (n, 3) and quaternions (n, 4), by row; rows of NaN are left out."""
-    faults = {}
+def pose_faults(positions: FloatArray, quats: FloatArray) -> Faults:
+    """Faults of positions (n, 3) and quaternions (n, 4); rows of NaN are left out."""
     with np.errstate(over="ignore", invalid="ignore"):
         far = np.abs(positions).max(axis=1, initial=0.0) > _MOST_M
         length = np.linalg.norm(quats, axis=1)
         short = (length <= 1e-12) | np.isinf(length)
-    for i in np.flatnonzero(far).tolist():
-        faults[i] = f"its position {positions[i].tolist()} is more than {_MOST_M:g} m away"
-    for i in np.flatnonzero(short).tolist():
-        faults[i] = f"its quaternion {quats[i].tolist()} has no direction"
-    return faults
+    faults = dict.fromkeys(np.flatnonzero(far).tolist(), f"its position is more than {_MOST_M:g} m away")
+    return faults | dict.fromkeys(np.flatnonzero(short).tolist(), "its quaternion has no direction")
 
 
-def lost_faults(positions: FloatArray, identity: BoolArray) -> dict[int, str]:
+def lost_faults(positions: FloatArray, identity: BoolArray) -> Faults:
     """Faults of poses that are exactly the identity and far from those around: as of a lost camera."""
+    # those at the start may be the origin of a path that goes on after a pause, as that of SLAM
     at, others = np.flatnonzero(identity), np.flatnonzero(~identity & (np.abs(positions) <= _MOST_M).all(axis=1))
+    at = at[at > others[0]] if others.size else at[:0]
     steps = np.linalg.norm(np.diff(positions[others], axis=0), axis=1)
     if not at.size or not (steps > 0).any():
         return {}
-    away = np.concatenate(([np.inf], np.linalg.norm(positions[others], axis=1), [np.inf]))
+    away = np.append(np.linalg.norm(positions[others], axis=1), np.inf)
     after = np.searchsorted(others, at)
     far = _LOST_STEPS * np.percentile(steps[steps > 0], _LARGE)  # not the median, which noise at rest makes small
-    extent = np.linalg.norm(np.ptp(positions[others], axis=0))
-    # a path may begin at the identity and go on after a pause, as that of SLAM, which needs a baseline first
-    lost = np.minimum(away[after], away[after + 1]) > np.where(after == 0, max(far, extent), far)
-    why = "is the identity, and those around it are far away: was the camera lost?"
-    return dict.fromkeys(at[lost].tolist(), why)
+    lost = at[np.minimum(away[after - 1], away[after]) > far].tolist()
+    return dict.fromkeys(lost, "is the identity, and those around it are far away: was the camera lost?")
 
 
-def matrix_faults(poses: FloatArray) -> dict[int, str]:
-    """Faults of poses (n, 4, 4), by row; rows of NaN are left out."""
-    n = len(poses)
-    faults = pose_faults(poses[:, :3, 3], np.tile([1.0, 0, 0, 0], (n, 1)))
+def matrix_faults(poses: FloatArray) -> Faults:
+    """Faults of poses (n, 4, 4); rows of NaN are left out."""
+    faults = pose_faults(poses[:, :3, 3], np.ones((len(poses), 4)))
     finite = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
     faults |= {int(finite[i]): f"is {why}" for i, why in rotation_faults(poses[finite, :3, :3]).items()}
     for i in finite[np.abs(poses[finite, 3] - (0, 0, 0, 1)).max(axis=1, initial=0.0) > 1e-6].tolist():

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections import Counter
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -22,7 +20,6 @@ FRAME_RATE_HZ = 30.0
 BETWEEN_RECORDINGS_S = 10.0
 _RATES_HZ = (1e-3, 1e6)
 _DIGITS = re.compile(r"([0-9]+)")
-_NO_NUMBER = str.maketrans("[](),;", " " * 6)
 # What a file of another kind leads to, when it is taken for YAML or JSON of a known form.
 MALFORMED = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError)
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm")
@@ -41,20 +38,6 @@ def by_what(notes: Iterable[Note]) -> dict[str, list[str]]:
     for note in notes:
         places.setdefault(note.what, []).append(note.where)
     return places
-
-
-def readable(name: str) -> bool:
-    """Whether a file's name is text: names that are not UTF-8 can be put into no result."""
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
-def shown(name: str) -> str:
-    """A file's name for people, whatever bytes it has."""
-    return name.encode(errors="surrogateescape").decode(errors="backslashreplace")
 
 
 def number(text: str) -> float:
@@ -77,74 +60,58 @@ def tokens(line: str) -> list[str]:
     return [token.strip() for token in line.strip().removesuffix(separator or "").split(separator)]
 
 
-def numbers_in(line: str) -> list[float]:
-    """The numbers of a line."""
-    return [number(token) for token in tokens(line)]
+def numbers_in(line: str, count: int | None = None) -> list[float]:
+    """The numbers of a line, so many if that is given."""
+    numbers = [number(token) for token in tokens(line)]
+    if count not in (None, len(numbers)):
+        raise ValueError(f"expected {count} numbers, got {len(numbers)}")
+    return numbers
 
 
 def read_lines(path: Path) -> list[str]:
-    """Lines of a text file in UTF-8, with the line ends of any system."""
+    """Lines of a text file in UTF-8, with the line ends of any system, without blank ones at the end."""
     try:
         if path.exists() and not os.path.isfile(path):  # a pipe would be waited for
             raise OSError("is not a regular file")
-        return path.read_text(encoding="utf-8-sig").splitlines()
+        return path.read_text(encoding="utf-8-sig").rstrip().splitlines()
     except (OSError, ValueError) as exc:
         raise DatasetError(f"{path}: cannot be read: {exc}") from exc
 
 
-@dataclass(frozen=True)
-class ParsedLine(Generic[Item]):
-    """A line of a file: its place, its text, and what it holds, None if it is damaged."""
-
-    where: str
-    text: str
-    value: Item | None
-
-    def fault(self, expected: str) -> str:
-        """What is wrong with a damaged line."""
-        return f"{self.where}: expected {expected}, got {self.text[:80]!r}"
-
-
-def parse_lines(path: Path, parse: Callable[[str], Item], *, by_line: bool = False) -> list[ParsedLine[Item]]:
-    """What the lines of a file hold; blank lines, those that start with ``#``, and a header of words are left out.
+def parse_lines(path: Path, parse: Callable[[str], Item], expected: str, *, by_line: bool = False) -> list[Item]:
+    """What the lines of a file hold, at least one; lines that start with ``#`` are left out.
 
     Parameters
     ----------
     parse
         Turns a line into what it holds; raises ValueError or IndexError where it is damaged.
+    expected
+        What a line should be, for messages.
     by_line
-        Whether lines belong to frames by their order: a blank line between them, or a header, is then refused.
+        Whether lines belong to frames by their order. Otherwise blank lines and a header of words are left out too.
     """
-    parsed: list[ParsedLine[Item]] = []
-    blank = 0
+    items: list[Item] = []
     for at, line in enumerate(read_lines(path), start=1):
-        if not line.strip():
-            blank = blank or (at if parsed else 0)
+        if line.lstrip().startswith("#") or not (by_line or line.strip()):
             continue
-        if line.lstrip().startswith("#"):
-            continue
-        if by_line and blank:
-            raise DatasetError(f"{path}, line {blank}: is blank; poses belong to frames by their lines")
         try:
-            value = parse(line)
+            items.append(parse(line))
         except DatasetError:
             raise
         except (ValueError, IndexError):
-            if not parsed and line.lstrip()[:1] not in "+-.0123456789":  # begins as no number does
-                if by_line:
-                    what = "begins with a word; poses belong to frames by their lines; put # before a header"
-                    raise DatasetError(f"{path}, line {at}: {what}") from None
-                continue
-            value = None
-        parsed.append(ParsedLine(f"{path}, line {at}", line, value))
-    return parsed
+            is_header = not items and not by_line and line.lstrip()[0] not in "+-.0123456789"
+            if not is_header:
+                raise DatasetError(f"{path}, line {at}: expected {expected}, got {line[:80]!r}") from None
+    if not items:
+        raise DatasetError(f"{path}: holds no line of {expected}")
+    return items
 
 
 def read_numbers(path: Path) -> FloatArray:
-    """All numbers of a text file, in one vector; brackets, commas and lines that begin with ``#`` are passed over."""
-    lines = [line for line in read_lines(path) if not line.lstrip().startswith("#")]
+    """All numbers of a text file, in one vector; lines that begin with ``#`` are passed over."""
+    lines = [line for line in read_lines(path) if line.strip() and not line.lstrip().startswith("#")]
     try:
-        return np.array([number(x) for x in " ".join(lines).translate(_NO_NUMBER).split()])
+        return np.array([value for line in lines for value in numbers_in(line)])
     except ValueError as exc:
         raise DatasetError(f"{path}: cannot be read as numbers: {exc}") from exc
 
@@ -156,14 +123,18 @@ def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:
 
 
 def by_name(items: Iterable[Item], name: Callable[[Item], str]) -> list[Item]:
-    """Items in the natural order of their names, 2 before 10; in that of numbers where all names are decimals."""
+    """Items in the natural order of their names, 2 before 10; refuses decimals whose order depends on their zeros."""
     ordered = sorted(items, key=lambda item: natural_key(name(item)))
     stems = [Path(name(item)).stem for item in ordered]
     try:
         decimals = [number(stem) for stem in stems if "." in stem]
     except ValueError:
         return ordered
-    return [ordered[i] for i in np.argsort(decimals, kind="stable")] if len(decimals) == len(ordered) else ordered
+    back = np.flatnonzero(np.diff(decimals) < 0)
+    if len(decimals) == len(ordered) and back.size:
+        first, second = (name(ordered[k]) for k in (back[0], back[0] + 1))
+        raise DatasetError(f"{first} and {second}: their order is unclear; name all images with as many decimals")
+    return ordered
 
 
 def image_files(folder: Path) -> list[Path]:
@@ -174,12 +145,12 @@ def image_files(folder: Path) -> list[Path]:
     return images
 
 
-def _refuse_twice(keys: list[str] | list[int], paths: list[Path]) -> None:
+def _refuse_twice(keys: Sequence[str | int], paths: list[Path]) -> None:
     """Refuse two files for one frame, such as a .jpg beside a .png."""
-    for key, count in Counter(keys).items():
-        if count > 1:
-            first, second = [path for path, other in zip(paths, keys, strict=True) if other == key][:2]
-            raise DatasetError(f"{second}: is one frame with {first.name}, expected one file per frame; remove one")
+    first: dict[str | int, Path] = {}
+    for key, path in zip(keys, paths, strict=True):
+        if (other := first.setdefault(key, path)) is not path:
+            raise DatasetError(f"{path}: is one frame with {other.name}, expected one file per frame; remove one")
 
 
 def file_named(base: Path, name: str) -> Path:
@@ -190,37 +161,6 @@ def file_named(base: Path, name: str) -> Path:
     return base / name.replace("\\", "/") if "\\" in name and not path.exists() else path
 
 
-def listed_images(
-    path: Path, parse: Callable[[str], tuple[float, Path]], expected: str, notes: list[Note]
-) -> tuple[list[Path], FloatArray]:
-    """Images and times of a list with one per line; damaged lines are left out and told."""
-    lines = parse_lines(path, parse)
-    listed = [line.value for line in lines if line.value is not None]
-    faults = [line.fault(expected) for line in lines if line.value is None]
-    if not listed:
-        raise DatasetError(faults[0] if faults else f"{path}: lists no image")
-    notes += [Note("left out, line cannot be read", fault) for fault in faults]
-    return [image for _, image in listed], np.array([time for time, _ in listed])
-
-
-def rows_of(images: list[Path], n_rows: int, path: Path, what: str) -> IntArray:
-    """Which line of a file is about which image: all in order, or the one whose number is the image's name."""
-    numbers = numbers_of(images)
-    in_order = numbers is None or bool((np.diff(numbers) == 1).all())
-    if in_order and n_rows == len(images):
-        return np.arange(n_rows)
-    if numbers is not None and numbers.max() < n_rows:
-        return numbers
-    raise DatasetError(f"{path}: holds {n_rows} {what} {len(images)} images")
-
-
-def numbers_of(images: list[Path]) -> IntArray | None:
-    """The images' names, if each is a number."""
-    stems = [image.stem for image in images]
-    numbered = all(stem.isascii() and stem.isdigit() and len(stem) < 10 for stem in stems)
-    return np.array([int(stem) for stem in stems], dtype=np.int64) if numbered else None
-
-
 def numbered_frames(folder: Path, pattern: re.Pattern[str]) -> list[tuple[int, Path]]:
     """Numbers and paths of a folder's images, in order; the first group of the pattern is the number."""
     frames = sorted((int(m[1]), path) for path in folder.iterdir() if (m := pattern.fullmatch(path.name)))
@@ -228,34 +168,37 @@ def numbered_frames(folder: Path, pattern: re.Pattern[str]) -> list[tuple[int, P
     return frames
 
 
-def recording_folders(parent: Path, prefix: str, notes: list[Note]) -> list[Path]:
-    """Folders of recordings, prefix and number, in the order of their numbers; `notes` takes up similar ones."""
-    paths = sorted(path for path in parent.glob(f"{prefix}*") if path.is_dir())
-    numbered = [path for path in paths if re.fullmatch(r"[0-9]{1,9}", path.name.removeprefix(prefix))]
-    notes += [Note("left out, not a recording", f"{p}: is not called {prefix}NN") for p in paths if p not in numbered]
-    numbers = [int(path.name.removeprefix(prefix)) for path in numbered]
-    _refuse_twice(numbers, numbered)
-    return [numbered[i] for i in np.argsort(numbers, kind="stable")]
+def recording_folders(parent: Path, prefix: str) -> list[Path]:
+    """Folders of recordings, prefix and number, in the order of their numbers."""
+    matches = [(re.fullmatch(rf"{prefix}([0-9]{{1,9}})", path.name), path) for path in parent.glob(f"{prefix}*/")]
+    numbered = sorted((int(match[1]), path) for match, path in matches if match)
+    _refuse_twice([number for number, _ in numbered], [path for _, path in numbered])
+    return [path for _, path in numbered]
 
 
-def joined_recordings(
-    recordings: list[list[tuple[int, Path]]], rate_hz: float
-) -> tuple[list[Path], FloatArray, IntArray]:
-    """Images, times and recording numbers of numbered frames; each recording begins 10 s after the one before."""
+class NumberedImages(NamedTuple):
+    """Images (n) of numbered frames in several recordings, their times (n,) and recording numbers (n,)."""
+
+    images: list[Path]
+    times: FloatArray
+    recording: IntArray
+
+
+def joined_recordings(recordings: list[list[tuple[int, Path]]], rate_hz: float) -> NumberedImages:
+    """Numbered frames of recordings in one; each recording begins 10 s after the one before."""
     times: list[float] = []
     for frames in recordings:
         start = times[-1] + BETWEEN_RECORDINGS_S if times else 0.0
         times += [start + i / rate_hz for i, _ in frames]
     recording = np.repeat(np.arange(len(recordings)), np.array([len(frames) for frames in recordings], dtype=np.int64))
-    return [path for frames in recordings for _, path in frames], np.array(times), recording
+    return NumberedImages([path for frames in recordings for _, path in frames], np.array(times), recording)
 
 
 def frame_times(folder: Path, n_frames: int) -> FloatArray:
     """Times of frames whose layout has none, (n_frames,) seconds: ``times.txt`` in the folder, or even ones."""
     path = folder / "times.txt"
     if not path.is_file():
-        rate = folder / "frame-rate.txt"
-        return np.arange(n_frames) / (read_frame_rate(rate) if rate.is_file() else FRAME_RATE_HZ)
+        return np.arange(n_frames) / read_frame_rate(folder / "frame-rate.txt")
     times = read_numbers(path)
     if times.size != n_frames:
         raise DatasetError(f"{path}: holds {times.size} times for {n_frames} images")
@@ -270,12 +213,11 @@ def times_by_folder(folder: Path, images: list[Path]) -> tuple[FloatArray, IntAr
     return times if (folder / "times.txt").is_file() else times + BETWEEN_RECORDINGS_S * recording, recording
 
 
-def read_frame_rate(path: Path) -> float:
-    """The number of ``frame-rate.txt``, Hz."""
+def read_frame_rate(path: Path | None) -> float:
+    """The number of ``frame-rate.txt``, Hz; 30 where there is no such file."""
+    if path is None or not path.is_file():
+        return FRAME_RATE_HZ
     rate = read_numbers(path)
     if rate.size != 1 or not _RATES_HZ[0] <= rate[0] <= _RATES_HZ[1]:
-        raise DatasetError(
-            f"{path}: holds {rate[:9].tolist()}, expected a positive frame rate, {_RATES_HZ[0]:g} to "
-            f"{_RATES_HZ[1]:g} Hz"
-        )
+        raise DatasetError(f"{path}: holds {rate[:9].tolist()}, expected a positive frame rate in Hz")
     return float(rate[0])

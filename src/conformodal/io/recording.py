@@ -1,8 +1,9 @@
-"""A sequence of camera frames: paths to images, decoded when asked for, with timestamps, camera and poses."""
+"""Camera frames with times, a camera and poses, decoded when asked for; of one recording or of several joined."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -10,10 +11,12 @@ import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, UInt8Array
 from conformodal.geometry import PinholeCamera, PoseError, Trajectory
+from conformodal.geometry.poses import concatenate
 
+from .cameras import undistort_to
 from .decoding import read_image
 from .errors import DatasetError
-from .reading import Note
+from .reading import BETWEEN_RECORDINGS_S, Note
 
 
 class ImageChange(Protocol):
@@ -79,8 +82,9 @@ class Recording:
         wrong = np.flatnonzero(~np.isfinite(self.timestamps_s) | ~(np.diff(self.timestamps_s, prepend=-np.inf) > 0))
         if wrong.size:
             i = int(wrong[0])
-            where = f"frame {i} ({self.image_paths[i]}) has {self.timestamps_s[i]}"
-            raise DatasetError(f"{self.name}: timestamps must be finite and increase; {where}")
+            where = f"frame {i} ({self.image_paths[i]}) has {self.timestamps_s[i]:.9f}"
+            after = f", after {self.timestamps_s[i - 1]:.9f}" if i else ""
+            raise DatasetError(f"{self.name}: timestamps must be finite and increase; {where}{after}")
 
     def __len__(self) -> int:
         return len(self.image_paths)
@@ -108,3 +112,70 @@ class Recording:
         if self.truth is None:
             raise PoseError(f"{self.name}: has no poses; expected ground truth for every frame")
         return self.truth
+
+
+def as_camera(sequence: Recording, camera: PinholeCamera) -> Recording:
+    """The sequence as another camera would have seen it, with a note of it.
+
+    Examples
+    --------
+    ``as_camera(read_recording(folder), model.camera)`` are images that a model can answer which was trained with
+    another camera. What this camera does not show is black.
+    """
+    notes: list[Note] = []
+    images = undistort_to(list(sequence.image_paths), [sequence.camera] * len(sequence), camera, notes)
+    return replace(sequence, image_paths=tuple(images), camera=camera, notes=(*sequence.notes, *notes))
+
+
+def join_recordings(sequences: Sequence[Recording], given_test: Sequence[bool] | None = None) -> Recording:
+    """One data set from one or several, whose poses are in the same world frame.
+
+    Recordings are numbered on. One that does not begin after the end of the one before begins 10 s after it. Images of
+    other cameras than the first are brought to the first.
+
+    Parameters
+    ----------
+    sequences
+        At least one; one alone is returned as it is.
+    given_test
+        Which of them are held out for testing, as the split ``given`` does it; by default, their own lists say it.
+    """
+    if len(sequences) == 1 and given_test is None:
+        return sequences[0]
+    first, parts, end_s, n_recordings = sequences[0], list[Recording](), -np.inf, 0
+    notes = [note for sequence in sequences for note in sequence.notes]
+    for i, sequence in enumerate(sequences):
+        part = sequence if sequence.camera == first.camera else as_camera(sequence, first.camera)
+        notes += part.notes[len(sequence.notes) :]
+        shift_s = shift_behind(float(part.timestamps_s[0]), end_s)
+        part = replace(
+            part,
+            timestamps_s=part.timestamps_s + shift_s,
+            recording=part.recording - part.recording.min() + n_recordings,
+            poses=None if part.poses is None else replace(part.poses, timestamps_s=part.poses.timestamps_s + shift_s),
+            given_test=part.given_test if given_test is None else np.full(len(part), given_test[i]),
+        )
+        parts.append(part)
+        end_s, n_recordings = float(part.timestamps_s[-1]), int(part.recording.max()) + 1
+    paths = [path for part in parts for path in part.image_paths]
+    if len(set(paths)) < len(paths):
+        twice = next(path for path in paths if paths.count(path) > 1)
+        raise DatasetError(f"{twice}: is in two of the data sets; expected recordings without a common frame")
+    poses = [part.poses for part in parts if part.poses is not None]
+    listed = [np.zeros(len(part), dtype=bool) if part.given_test is None else part.given_test for part in parts]
+    return Recording(
+        name=" + ".join(part.name for part in parts),
+        image_paths=tuple(paths),
+        timestamps_s=np.concatenate([part.timestamps_s for part in parts]),
+        recording=np.concatenate([part.recording for part in parts]),
+        camera=first.camera,
+        poses=concatenate(poses) if poses else None,
+        noise=first.noise,
+        given_test=None if all(part.given_test is None for part in parts) else np.concatenate(listed),
+        notes=tuple(notes),
+    )
+
+
+def shift_behind(begin_s: float, end_s: float) -> float:
+    """What is added to times that begin at `begin_s`, after a recording that ends at `end_s`."""
+    return 0.0 if begin_s > end_s else end_s + BETWEEN_RECORDINGS_S - begin_s

@@ -11,9 +11,9 @@ from enum import StrEnum
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
-from conformodal.core.words import counted
+from conformodal.core.words import as_utf8
 from conformodal.geometry import PoseError
 from conformodal.io.layouts.colmap import model_folders, read_colmap
 from conformodal.io.layouts.euroc import looks_like_euroc, read_euroc_mav
@@ -28,7 +28,6 @@ from .cameras import INTRINSICS
 from .convention import with_fitted_focal
 from .errors import DatasetError
 from .frame_table import FrameTable
-from .reading import SUFFIXES, image_files, readable, shown
 from .recording import Recording
 
 ENTRY_POINTS = "conformodal.layouts"
@@ -102,43 +101,28 @@ def recognise(folder: Path) -> str:
     _check_folder(folder)
     try:
         names = [name for name, reader in readers().items() if reader.recognises(folder)]
-        if len(names) > 1 and _LAST_RESORT in names:
-            names.remove(_LAST_RESORT)
-        if not names and (folder / "metadata.yaml").is_file():
-            raise DatasetError(f"{folder}: looks like a ROS recording, expected a data set{_MADE.format(folder)}")
-        hint = "" if names else _hint(folder)
     except OSError as exc:
-        raise DatasetError(shown(f"{folder}: cannot be read: {exc}")) from exc
+        raise DatasetError(as_utf8(f"{folder}: cannot be read: {exc}")) from exc
+    if len(names) > 1 and _LAST_RESORT in names:
+        names.remove(_LAST_RESORT)
     if len(names) == 1:
         return names[0]
     if names:
         raise DatasetError(f"{folder}: could be {' or '.join(names)}; name its format")
+    if (folder / "metadata.yaml").is_file():
+        raise DatasetError(f"{folder}: looks like a ROS recording, expected a data set{_MADE.format(folder)}")
     looked = "; ".join(f"{name}: {reader.sign}" for name, reader in readers().items())
-    raise DatasetError(f"{folder}: is in no layout that is known{hint}. Looked for {looked}")
+    raise DatasetError(as_utf8(f"{folder}: is not in a layout that is read. Looked for {looked}"))
 
 
 def _check_folder(folder: Path) -> None:
-    if not readable(str(folder)):
-        raise DatasetError(f"{shown(str(folder))}: its name is not UTF-8; rename it")
     try:
         if folder.is_file():
             raise DatasetError(f"{folder}: is a file, expected a data set's folder{_MADE.format(folder)}")
         if not folder.is_dir():
-            raise DatasetError(f"{folder}: no such folder")
+            raise DatasetError(as_utf8(f"{folder}: no such folder"))
     except OSError as exc:
-        raise DatasetError(f"{folder}: cannot be read: {exc}") from exc
-
-
-def _hint(folder: Path) -> str:
-    """A data set in the folder, or images there that lack a camera."""
-    below = sorted(path for path in folder.iterdir() if path.is_dir())
-    for place in below:
-        if any(reader.recognises(place) for reader in readers().values()):
-            return f": name a folder in it, such as {shown(str(place))}"
-    for place in (folder, *below):
-        if n := len(image_files(place)):
-            return f": {shown(str(place))} holds {counted(n, 'image')}; put {INTRINSICS} and poses beside them"
-    return f": it holds no image ({', '.join(SUFFIXES)}), nor does a folder in it"
+        raise DatasetError(as_utf8(f"{folder}: cannot be read: {exc}")) from exc
 
 
 def read_recording(
@@ -176,26 +160,20 @@ def read_recording(
     """
     if not isinstance(format, str) or format not in (Layout.AUTO, *readers()):
         raise DatasetError(f"format must be one of {', '.join((Layout.AUTO, *readers()))}, got {format!r}")
-    folder = Path(path)
+    fitted, folder = focal == "auto", Path(path)
+    try:
+        px = None if focal is None or fitted else float(focal)
+    except ValueError:
+        px = -1.0
+    if px is not None and not px > 0:
+        raise DatasetError(f"focal must be a positive number of pixels or auto, got {focal!r}")
     _check_folder(folder)
     name = recognise(folder) if format == Layout.AUTO else format
     try:
         table = readers()[name].read(folder.resolve())
         recording = table.to_recording(
-            require_poses=require_poses or focal == "auto", follow_outside=follow_outside, focal=_focal_px(focal)
+            require_poses=require_poses or fitted, follow_outside=follow_outside, focal="auto" if fitted else px
         )
     except (OSError, UnicodeError, PoseError) as exc:
-        raise DatasetError(shown(f"{folder}: cannot be read: {exc}")) from exc
-    return with_fitted_focal(recording) if focal == "auto" else recording
-
-
-def _focal_px(focal: float | str | None) -> float | Literal["auto"] | None:
-    if focal is None or focal == "auto":
-        return None if focal is None else "auto"
-    try:
-        px = float(focal)
-    except ValueError:
-        px = -1.0
-    if not px > 0:
-        raise DatasetError(f"focal must be a positive number of pixels or auto, got {focal!r}")
-    return px
+        raise DatasetError(as_utf8(f"{folder}: cannot be read: {exc}")) from exc
+    return with_fitted_focal(recording) if fitted else recording

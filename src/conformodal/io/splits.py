@@ -17,7 +17,7 @@ import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 from conformodal.core.ranges import as_member, check_ranges, check_shares
-from conformodal.core.words import counted, noun_for
+from conformodal.core.words import counted
 
 from .errors import SplitError
 
@@ -46,10 +46,7 @@ class Split:
 
     def part(self, name: str) -> IntArray:
         """Indices of ``"train"``, ``"calibration"`` or ``"test"``."""
-        parts = {"train": self.train, "calibration": self.calibration, "test": self.test}
-        if name not in parts:
-            raise SplitError(f"part must be train, calibration or test, got {name!r}")
-        return parts[name]
+        return {"train": self.train, "calibration": self.calibration, "test": self.test}[name]
 
 
 def make_split(
@@ -86,29 +83,40 @@ def make_split(
         (n,) whether the data set's own lists name a frame for testing; None if it has no lists. Only ``given`` reads
         it.
     """
-    n = len(recording)
     kind = as_member(kind, SplitKind, "split", SplitError)
-    settings = {"test": test, "calibration": calibration, "used": used, "seed": seed, "n_blocks": n_blocks}
-    check_ranges(settings, SplitError)
+    check_ranges({"test": test, "calibration": calibration, "used": used, "seed": seed}, SplitError)
     check_shares(test, calibration, used, SplitError)
     free, listed = _pieces(recording, kind, n_blocks, given_test)
     if kind is SplitKind.RECORDINGS and len(free) < 3:
         raise SplitError(f"split recordings needs at least 3 recordings, one for each part; found {len(free)}")
     rng = np.random.default_rng(seed)
     order = rng.permutation(len(free))
-    n_test, n_calibration, n_used, share = _counts(len(free), kind, test, calibration, used)
+    given = kind is SplitKind.GIVEN
+    whole = len(free) / (1 - test) if given else len(free)  # the lists' test frames are not among the free
+    n_test, n_calibration = 0 if given else round(test * whole), round(calibration * whole)
+    n_used = len(free) - n_test if used is None else round(used * whole)
+    if given or kind is SplitKind.RECORDINGS:  # recordings are few: rounding must not leave a part empty
+        n_test = 0 if given else min(max(n_test, 1), len(free) - 2)
+        n_calibration = min(max(n_calibration, 1), len(free) - n_test - 1)
+        n_used = len(free) - n_test if used is None else min(max(n_used, n_calibration + 1), len(free) - n_test)
     groups = np.split(order[: n_test + n_used], [n_test, n_test + n_calibration])
     chosen = [[free[i] for i in group] for group in groups]
-    if share < 1:
-        chosen[1:] = [[_shortened(frames, share, rng) for frames in group] for group in chosen[1:]]
+    if used is not None and n_used > round(used * whole):  # the recordings are too few to leave some out
+        chosen[1:] = [[_shortened(frames, used * whole / n_used, rng) for frames in group] for group in chosen[1:]]
     chosen[0] += listed
     if not all(chosen):
         raise SplitError(
-            f"{counted(n, 'frame')} in {counted(len(free) + len(listed), 'piece')} {noun_for(n, 'is', 'are')} too few "
-            f"for a {kind} split into three parts"
+            f"{counted(len(recording), 'frame')} in {counted(len(free) + len(listed), 'piece')}: too few for a {kind} "
+            "split into three parts"
         )
     parts = [np.sort(np.concatenate(pieces)) for pieces in chosen]
     return Split(kind, seed, train=parts[2], calibration=parts[1], test=parts[0])
+
+
+def _shortened(frames: IntArray, share: float, rng: np.random.Generator) -> IntArray:
+    n = max(1, round(share * len(frames)))
+    start = int(rng.integers(len(frames) - n + 1))
+    return frames[start : start + n]
 
 
 def held_out_together(
@@ -152,31 +160,6 @@ def with_random_calibration(split: Split, share: float) -> Split:
     return replace(split, train=np.sort(both[n:]), calibration=np.sort(both[:n]))
 
 
-def _counts(
-    n: int, kind: SplitKind, test: float, calibration: float, used: float | None
-) -> tuple[int, int, int, float]:
-    """How many of n pieces test, calibrate, and calibrate or train; and which share of each of the latter is used."""
-    given = kind is SplitKind.GIVEN
-    whole = n / (1 - test) if given else n  # the lists' test frames are not among the n
-    n_test = 0 if given else round(test * whole)
-    n_calibration = round(calibration * whole)
-    n_used = n - n_test if used is None else round(used * whole)
-    if kind in (SplitKind.RECORDINGS, SplitKind.GIVEN):  # recordings are few: rounding must not leave a part empty
-        n_test = n_test if given else min(max(n_test, 1), n - 2)
-        n_calibration = min(max(n_calibration, 1), n - n_test - 1)
-        n_used = n - n_test if used is None else min(max(n_used, n_calibration + 1), n - n_test)
-    share = 1.0
-    if used is not None and n_used > round(used * whole):
-        share = used * whole / n_used
-    return n_test, n_calibration, n_used, share
-
-
-def _shortened(frames: IntArray, share: float, rng: np.random.Generator) -> IntArray:
-    n = max(1, round(share * len(frames)))
-    start = int(rng.integers(len(frames) - n + 1))
-    return frames[start : start + n]
-
-
 def _pieces(
     recording: IntArray, kind: SplitKind, n_blocks: int, given_test: BoolArray | None
 ) -> tuple[list[IntArray], list[IntArray]]:
@@ -193,9 +176,6 @@ def _pieces(
             "split given needs the data set's own lists, and there are none; looked for TrainSplit.txt and "
             "TestSplit.txt beside the folders seq-NN of a 7-Scenes scene"
         )
-    if given_test.shape != recording.shape or given_test.dtype != np.bool_:
-        got = f"{given_test.dtype} of shape {given_test.shape}"
-        raise SplitError(f"given_test must hold one bool for each of {len(recording)} frames, got {got}")
     free, listed = frames[~given_test], frames[given_test]
     whole = _recordings(free, recording)
     return whole if len(whole) > 1 else _stretches(free, recording, n_blocks), _recordings(listed, recording)

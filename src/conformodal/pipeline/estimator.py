@@ -21,8 +21,7 @@ from conformodal.features.local import extract_local_features
 from conformodal.geometry import PinholeCamera, RelativeMotion, Trajectory
 from conformodal.io import Recording
 from conformodal.io.decoding import grey_image
-from conformodal.io.streams.prefetch import prefetch
-from conformodal.io.streams.stored import RecordingStream
+from conformodal.io.streams.frames import RecordingStream, prefetch
 from conformodal.localizer.candidates import interval_candidates, interval_runs
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import LAG, PoseFilter, Window

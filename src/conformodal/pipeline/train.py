@@ -17,7 +17,7 @@ from conformodal.core.words import counted
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.geometry import RelativeMotion, Trajectory, sign_reference
 from conformodal.io import Recording, make_split, with_random_calibration
-from conformodal.io.joining import join_recordings
+from conformodal.io.recording import join_recordings
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import MotionPrior, fit_motion_prior

@@ -96,8 +96,8 @@ def check(sequence, pose_of):
     [
         ("nav_msgs/msg/Odometry", "of cam in odom"),
         ("geometry_msgs/msg/TransformStamped", "of cam in odom"),
-        ("geometry_msgs/msg/PoseStamped", "of a frame without a name, taken as the camera in odom"),
-        ("geometry_msgs/msg/PoseWithCovarianceStamped", "taken as the camera in odom"),
+        ("geometry_msgs/msg/PoseStamped", "taken as those of the camera"),
+        ("geometry_msgs/msg/PoseWithCovarianceStamped", "taken as those of the camera"),
     ],
 )
 def test_poses_of_the_camera_are_interpolated_at_the_images(tmp_path, kind, told, ros1):
@@ -119,7 +119,7 @@ def test_poses_of_the_robot_are_moved_to_its_camera(tmp_path):
     path = write_posed(tmp_path / "a", [odometry, *STATIC])
     sequence, output = converted(path, tmp_path / "out", "--poses", "/odom")
     check(sequence, lambda t: motion(t) @ MOUNT)
-    assert "/odom: of base_link in odom, moved to cam by /tf_static" in output
+    assert "/odom: of cam in odom, through base_link" in output
     late, _ = converted(path, tmp_path / "late", "--poses", "/odom", "--time-offset", "0.1")
     check(late, lambda t: motion(t - 0.1) @ MOUNT)
 
@@ -129,7 +129,7 @@ def test_poses_of_a_frame_that_nothing_connects_to_the_camera_are_refused(tmp_pa
     odometry = ("/odom", "nav_msgs/msg/Odometry", motion, "base_link", "odom", TIMES)
     path = write_posed(tmp_path / "a", [odometry, *static])
     result = refusal("data", "convert", path, "--poses", "/odom", "--out", tmp_path / "out")
-    assert "of base_link in odom, and the images are of 'cam': no static transform connects them" in result
+    assert "leads from odom to base_link, and not to 'cam', which the images are of" in result
     assert ("there is no /tf_static" in result) is (not static)
     assert not (tmp_path / "out").exists()
 
@@ -145,7 +145,7 @@ def test_transforms_lead_from_the_world_to_the_camera(tmp_path):
     path = write_posed(tmp_path / "a", [slow, fast, *STATIC])
     sequence, output = converted(path, tmp_path / "out", "--poses", "/tf")
     check(sequence, lambda t: drift(t) @ motion(t) @ MOUNT)
-    assert "/tf: of cam in map, through odom, base_link" in output
+    assert "/tf: of cam in map, through odom, through base_link" in output
     alone = write_posed(tmp_path / "b", [fast])
     result = refusal("data", "convert", alone, "--poses", "/tf", "--out", tmp_path / "no")
     assert "leads from odom to base_link, and not to 'cam'" in result
@@ -161,15 +161,13 @@ def test_poses_in_two_worlds_are_refused(tmp_path, topic):
     few = (topic, kind, beside, "cam", "map", [99.8, 100.01])
     path = write_posed(tmp_path / "a", [few, (topic, kind, motion, "cam", "odom", TIMES)])
     result = refusal("data", "convert", path, "--poses", topic, "--out", tmp_path / "out")
-    assert f"{topic}: has poses of cam in map and in odom" in result
+    assert "has poses of cam in map and in odom" in result
 
 
 def test_a_topic_without_poses_is_named(tmp_path):
     path = write_posed(tmp_path / "a", [("/o", "nav_msgs/msg/Odometry", motion, "cam", "odom", TIMES), *STATIC])
     result = refusal("data", "convert", path, "--poses", "/imu", "--out", tmp_path / "out")
     assert result.endswith("holds no poses on /imu, which is no file either; there are /o")
-    result = refusal("data", "convert", path, "--poses", tmp_path / "poses.tum", "--out", tmp_path / "out")
-    assert result.endswith(f"poses.tum: no such file of poses; {path} has poses on /o")
 
 
 @pytest.mark.parametrize("kind", ["mcap", "ros1"])

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from conformodal.geometry import PinholeCamera
-from conformodal.io import DatasetError, read_recording
+from conformodal.io import DatasetError, DatasetWarning, read_recording
 from conformodal.io.streams import Frame, Pace, RecordingStream, SourceError, open_stream, prefetch
 from conformodal.io.streams.bag import BagStream
-from conformodal.io.streams.ros_messages import COMPRESSED, RAW, camera_of_info, image_of, is_swapped, white_of
+from conformodal.io.streams.ros_messages import COMPRESSED, RAW, camera_of_info, image_of
 from conformodal.io.streams.video import CameraStream, VideoStream
-from tests.helpers import run_ok
 
 SIZE = (64, 48)
 
@@ -41,10 +40,9 @@ def test_a_video_gives_its_frames_in_rgb_with_their_times(tmp_path):
 def test_a_video_that_was_cut_off_gives_what_is_there_and_says_so(tmp_path):
     path = video(tmp_path / "v.avi", n=60, size=(320, 240))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    frames, stream = [], iter(open_stream(path))
-    with pytest.raises(SourceError, match=r"v\.avi: ends after \d+ of 60 frames; the file was cut off"):
-        frames += stream
-    assert 10 < len(frames) < 45  # the list is extended frame by frame before the error
+    with pytest.warns(DatasetWarning, match=r"v\.avi: ends after \d+ of 60 frames"):
+        frames = list(open_stream(path))
+    assert 10 < len(frames) < 45
 
 
 @pytest.mark.parametrize("damaged", [0, 9, 29])
@@ -97,35 +95,25 @@ def test_frames_of_a_variable_rate_have_their_own_times(tmp_path):
     assert [round(f.image.mean() / 8) for f in frames] == list(range(30))
 
 
-def shown_by(path, *matrix, header=b"tkhd", at=44):
+def shown_by(path, *matrix):
     """An MP4 file with the a b c d of a display matrix."""
     content, (a, b, c, d) = mp4(path), (round(65536 * v) for v in matrix)
-    at += content.find(header)
+    at = 44 + content.find(b"tkhd")
     values = [a, b, 0, c, d, 0, 0, 0, 1 << 30]
     content[at : at + 36] = b"".join(v.to_bytes(4, signed=True) for v in values)
     path.write_bytes(content)
     return path
 
 
-def test_a_video_that_is_turned_says_so(tmp_path):
+def test_a_video_that_is_turned_says_so_and_one_that_is_aslant_is_refused(tmp_path):
     path = shown_by(tmp_path / "v.mp4", 0, 1, -1, 0)  # by a quarter to the right
     stream = open_stream(path)
     assert next(iter(stream)).image.shape == (SIZE[0], SIZE[1], 3)
     assert any("by 90 degrees" in where for _, where in stream.notes)
     path.write_bytes(mp4(path))
     assert open_stream(path).notes == ()
-
-
-@pytest.mark.parametrize(
-    ("matrix", "how"),
-    [((-1, 0, 0, 1), "mirrored"), ((0, 1, 1, 0), "mirrored"), ((0.707, 0.707, -0.707, 0.707), "turned by 45 degrees")],
-)
-def test_a_video_that_is_shown_mirrored_or_aslant_is_refused(tmp_path, matrix, how):
-    if how == "mirrored":  # the whole movie
-        with pytest.raises(SourceError, match=how):
-            open_stream(shown_by(tmp_path / "v.mp4", *matrix, header=b"mvhd", at=40))
-    with pytest.raises(SourceError, match=rf"v\.mp4: its metadata says that pictures are shown {how}, and only"):
-        open_stream(shown_by(tmp_path / "v.mp4", *matrix))
+    with pytest.raises(SourceError, match=r"v\.mp4: .* turned by 45 degrees"):
+        open_stream(shown_by(path, 0.707, 0.707, -0.707, 0.707))
 
 
 class FakeCapture:
@@ -247,12 +235,10 @@ def test_ros_recordings_of_every_kind(tmp_path, kind):
         assert len(list(open_stream(alone))) == 6
 
 
-def message(image, encoding, *, big=0, pad=6):
+def message(image, encoding, *, pad=6):
     """A raw image message of an array (rows, width, n), with padded rows."""
-    rows = image.reshape(len(image), -1).view(np.uint8)
-    data = np.pad(rows, ((0, 0), (0, pad)))
-    height = len(image) * 2 // 3 if encoding.startswith("nv") else len(image)
-    size = {"height": height, "width": image.shape[1], "step": data.shape[1], "is_bigendian": big}
+    data = np.pad(image.reshape(len(image), -1).view(np.uint8), ((0, 0), (0, pad)))
+    size = {"height": len(image), "width": image.shape[1], "step": data.shape[1], "is_bigendian": 0}
     return SimpleNamespace(encoding=encoding, data=data.ravel(), **size)
 
 
@@ -263,40 +249,49 @@ def in_encoding(rgb, encoding):
     """A picture of one colour as a camera sends it, by the formats' definitions."""
     (r, g, b), (h, w) = rgb[0, 0].tolist(), rgb.shape[:2]
     if encoding.startswith("bayer"):
-        tile = np.array([{"r": r, "g": g, "b": b}[c] for c in encoding.split("_")[1][:4]], np.uint16).reshape(2, 2)
-        tiled = np.tile(tile, (h // 2, w // 2))[..., None]
-        return (tiled * 257) if encoding.endswith("16") else tiled.astype(np.uint8)
+        tile = np.array([{"r": r, "g": g, "b": b}[c] for c in encoding.split("_")[1][:4]], np.uint8).reshape(2, 2)
+        return np.tile(tile, (h // 2, w // 2))[..., None]
     if encoding.lower() in ("rgb8", "bgr8", "8uc3"):
         return rgb if encoding.lower() == "rgb8" else rgb[:, :, ::-1].copy()
-    if encoding.endswith("16"):
-        return rgb.astype(np.uint16)[:, :, :: -1 if encoding.startswith("b") else 1] * 257
-    y, u, v = 16 + (66 * r + 129 * g + 25 * b) / 256, 128 + (-38 * r - 74 * g + 112 * b) / 256, 0
-    v = 128 + (112 * r - 94 * g - 18 * b) / 256
-    y, u, v = round(y), round(u), round(v)
-    if encoding.startswith("nv"):
-        chroma = (u, v) if encoding == "nv12" else (v, u)
-        return np.concatenate((np.full((h, w), y), np.tile(chroma, (h // 2, w // 2)))).astype(np.uint8)[..., None]
+    y, u = round(16 + (66 * r + 129 * g + 25 * b) / 256), round(128 + (-38 * r - 74 * g + 112 * b) / 256)
+    v = round(128 + (112 * r - 94 * g - 18 * b) / 256)
     pair = (u, y, v, y) if encoding in ("yuv422", "uyvy") else (y, u, y, v)
     return np.tile(pair, (h, w // 2)).reshape(h, w, 2).astype(np.uint8)
 
 
 @pytest.mark.parametrize(
     "encoding",
-    ["rgb8", "RGB8", "bgr8", "8UC3", "rgb16", "bgr16", "yuv422", "uyvy", "yuv422_yuy2", "yuyv", "nv12", "nv21"]
-    + [f"bayer_{order}{bits}" for order in ("rggb", "bggr", "gbrg", "grbg") for bits in (8, 16)],
+    ["rgb8", "RGB8", "bgr8", "8UC3", "yuv422", "uyvy", "yuv422_yuy2", "yuyv"]
+    + [f"bayer_{order}8" for order in ("rggb", "bggr", "gbrg", "grbg")],
 )
 def test_a_colour_is_the_same_in_every_encoding(encoding):
-    found = image_of(message(in_encoding(RED, encoding), encoding), RAW, 65535)
-    assert found.shape == RED.shape
-    np.testing.assert_allclose(found[2:-2, 2:-2].astype(int), RED[2:-2, 2:-2].astype(int), atol=3)
+    image = image_of(message(in_encoding(RED, encoding), encoding), RAW)
+    assert image.shape == RED.shape
+    np.testing.assert_allclose(image[2:-2, 2:-2].astype(int), RED[2:-2, 2:-2].astype(int), atol=3)
 
 
-@pytest.mark.parametrize("big", [0, 1])
-@pytest.mark.parametrize(("white", "bits"), [(1023, 10), (4095, 12), (16383, 14), (65535, 16)])
-def test_grey_of_16_bits_is_scaled_by_the_bits_it_uses(big, white, bits):
-    ramp = np.linspace(0, white, 48).astype(">u2" if big else "<u2").reshape(6, 8, 1)
-    found = image_of(message(ramp, "mono16", big=big), RAW)
-    np.testing.assert_allclose(found[..., 0].ravel(), np.linspace(0, 255, 48), atol=1)
+def compressed(image, form):
+    return SimpleNamespace(format=form, data=cv2.imencode(".png", image)[1].ravel())
+
+
+@pytest.mark.parametrize(
+    "form", ["rgb8; png compressed bgr8", "png compressed rgb8", "bayer_rggb8; png compressed bgr8"]
+)
+def test_the_colours_of_compressed_images(form):
+    np.testing.assert_array_equal(image_of(compressed(RED[..., ::-1], form), COMPRESSED), RED)
+    swapped = compressed(RED, "rgb8; png compressed rgb8")  # of image_transport
+    np.testing.assert_array_equal(image_of(swapped, COMPRESSED), RED)
+
+
+@pytest.mark.parametrize(
+    ("sent", "kind"),
+    [(message(RED, encoding), RAW) for encoding in ("mono16", "rgb16", "nv12", "32FC1")]
+    + [(message(np.zeros((4, 5, 2), np.uint8), "yuv422"), RAW)]
+    + [(compressed(RED, form), COMPRESSED) for form in ("mono16; png compressed ", "bayer_rggb8; png compressed ")],
+)
+def test_images_that_would_be_decoded_wrongly_are_refused(sent, kind):
+    with pytest.raises(SourceError):
+        image_of(sent, kind)
 
 
 K_INFO = np.array([80.0, 0, 64, 0, 82, 48, 0, 0, 1])
@@ -335,7 +330,7 @@ def test_the_matrix_window_and_binning_of_a_camera_info_are_used(topic, given, e
     rectified = "rect" in topic
     assert camera.distortion == (() if rectified else (-0.1, 0.02, 0.001, 0.002, 0.0))
     by_p = rectified and "p" not in given
-    assert any(("P, for rectified" if by_p else "K and D") in where for _, where in notes)
+    assert any(("P, without distortion" if by_p else "K and D") in where for _, where in notes)
 
 
 def ramp(width, height, scale):
@@ -368,16 +363,13 @@ def write_ramps(path, changes):
     return path
 
 
-@pytest.mark.parametrize("first", [1, 3])
-def test_a_camera_info_of_zeros_is_none(tmp_path, first):
-    """As drivers without a calibration send it, always or at first."""
-    zeros = {"k": np.zeros(9), "p": np.zeros(12)}
-    path = write_ramps(tmp_path / "a", [(zeros, 1)] * first + [({}, 1)] * (3 - first))
+def test_a_camera_info_of_zeros_is_none(tmp_path):
+    """As drivers without a calibration send it."""
     camera = PinholeCamera(50, 50, 32, 24, 64, 48)
-    stream = open_stream(path, camera=camera)
-    assert stream.camera == (camera if first == 3 else PinholeCamera(40, 41, 32, 24, 64, 48))
-    told = dict(stream.notes).get("no CameraInfo", "")
-    assert ("; /cam/camera_info has zeros; in other name spaces: none" in told) is (first == 3)
+    zeros = {"k": np.zeros(9), "p": np.zeros(12)}
+    stream = open_stream(write_ramps(tmp_path / "a", [(zeros, 1)] * 3), camera=camera)
+    assert stream.camera == camera
+    assert "/cam/camera_info has zeros" in dict(stream.notes)["no CameraInfo"]
     for frame in stream:
         np.testing.assert_array_equal(frame.image, ramp(64, 48, 1))
 
@@ -410,10 +402,10 @@ def test_images_of_a_fisheye_camera_info_are_undistorted(tmp_path, model, lens):
 @pytest.mark.parametrize(
     ("change", "topic", "match"),
     [
-        ({"k": np.zeros(9)}, "/cam/image_raw", "not calibrated: K is zero, and D, which is not, says that P is of"),
+        ({"k": np.zeros(9)}, "/cam/image_raw", "K is zero"),
         ({"p": np.zeros(12)}, "/cam/image_rect", "P is zero"),
         ({"distortion_model": "equidistant", "d": np.ones(5)}, "/cam/image_raw", "of 5 numbers"),
-        ({"width": 0}, "/cam/image_raw", "0x96 pixels"),
+        ({"width": 0}, "/cam/image_raw", "width = 0"),
     ],
 )
 def test_a_camera_info_that_says_no_camera_is_refused(change, topic, match):
@@ -423,62 +415,13 @@ def test_a_camera_info_that_says_no_camera_is_refused(change, topic, match):
         camera_of_info(message, "info", topic)
 
 
-@pytest.mark.parametrize(
-    ("stamps", "times", "recordings"),
-    [
-        ([7] * 6, 100 + np.arange(6), [0] * 6),  # of reception, a second apart
-        ([100, 0, 0, 0, 0, 0], 100 + np.arange(6), [0] * 6),
-        ([100, 100.5, 0, 101, 101.5, 102], [100, 100.5, 100.5, 101, 101.5, 102], [0] * 6),
-        ([200, 200.5, 201, 50, 50.5, 51], [200, 200.5, 201, 201, 203, 203.5], [0, 0, 0, 0, 1, 1]),
-    ],
-)
-def test_one_stamp_costs_one_frame_and_a_clock_that_is_set_back_another(tmp_path, stamps, times, recordings):
-    frames = list(
-        open_stream(write_bag(tmp_path / "a", "sqlite", image_options={"header_times": np.array(stamps, float)}))
-    )
-    np.testing.assert_allclose([frame.timestamp_s for frame in frames], times, atol=2e-3)
-    assert [frame.recording for frame in frames] == recordings
-
-
-@pytest.mark.parametrize(
-    ("stamps", "astray"),
-    [
-        ([0, 100, 100.5, 101, 101.5, 102], 0),
-        ([1e9, 100, 100.5, 101, 101.5, 102], 0),
-        ([100, 100.5, 1e9, 101, 101.5, 102], 2),
-        ([100, 100.5, 101, 101.5, 102, 1e9], 5),
-    ],
-)
-def test_a_stamp_far_from_the_others_costs_that_frame_alone(tmp_path, stamps, astray):
-    path = write_bag(tmp_path / "a", "sqlite", image_options={"header_times": np.array(stamps, float)})
-    frames = list(open_stream(path))
-    assert [frame.image is None for frame in frames] == [i == astray for i in range(6)]
-    assert f"message {astray} of /cam/image_raw: its stamp, {stamps[astray]:.3f} s, is far" in frames[astray].problem
-    assert {frame.recording for frame in frames} == {0}
-    assert (np.diff([frame.timestamp_s for frame in frames]) > 0).all()
-    assert [f.timestamp_s for f in frames if f.image is not None] == [s for s in stamps if s != stamps[astray]]
-    result = run_ok("data", "convert", path, "--out", tmp_path / "out")
-    assert f"message {astray} of /cam/image_raw: its stamp" in " ".join(result.output.split())
-
-
-def compressed(image, form, suffix=".png"):
-    return SimpleNamespace(format=form, data=cv2.imencode(suffix, image)[1].ravel())
-
-
-def test_compressed_images_of_16_bits_and_mosaics_have_their_values():
-    wide = compressed(np.linspace(0, 1023, 48).astype(np.uint16).reshape(6, 8), "mono16; png compressed ")
-    assert white_of(wide) == 1023
-    np.testing.assert_allclose(image_of(wide, COMPRESSED, 4095).max(), 64, atol=1)
-    mosaic = in_encoding(RED, "bayer_rggb8").squeeze()
-    found = image_of(compressed(mosaic, "bayer_rggb8; png compressed "), COMPRESSED)
-    np.testing.assert_allclose(found[2:-2, 2:-2].astype(int), RED[2:-2, 2:-2].astype(int), atol=3)
-    swapped = image_of(compressed(RED, "rgb8; png compressed rgb8"), COMPRESSED)
-    np.testing.assert_array_equal(swapped, RED)
-    np.testing.assert_array_equal(image_of(compressed(RED[..., ::-1], "rgb8; png compressed bgr8"), COMPRESSED), RED)
-    assert not is_swapped("png compressed rgb8")  # of others than image_transport
-    np.testing.assert_array_equal(image_of(compressed(RED[..., ::-1], "png compressed rgb8"), COMPRESSED), RED)
-    done = image_of(compressed(RED[..., ::-1], "bayer_rggb8; png compressed bgr8"), COMPRESSED)
-    np.testing.assert_array_equal(done, RED)
+@pytest.mark.parametrize("stamped", [True, False])
+def test_times_are_those_of_the_headers_else_of_reception(tmp_path, stamped):
+    stamps = (50.0 + np.arange(6)) * stamped
+    stream = open_stream(write_bag(tmp_path / "a", "sqlite", image_options={"header_times": stamps}))
+    times = stamps if stamped else 100 + np.arange(6)  # a second apart
+    np.testing.assert_allclose([frame.timestamp_s for frame in stream], times, atol=2e-3)
+    assert ("no header stamps" in dict(stream.notes)) is (not stamped)
 
 
 # decoding ahead
@@ -562,11 +505,10 @@ def put_bag(**options):
 SMALL = PinholeCamera(40, 40, 16, 12, 32, 24)
 IMU = [("/imu", "sensor_msgs/msg/Imu")]
 REFUSED = {  # what is written, what is opened, how, and what is told
-    "an address": (lambda root: None, "rtsp://10.0.0.1/live", {}, "address on a network"),
     "no video": (put(b"nothing"), "a", {}, "cannot be opened as a video"),
     "a list": (put(b"ffconcat version 1.0\nfile 'v.mp4'\n"), "a", {}, "list of other files"),
     "a video of another camera": (lambda root: video(root / "a.avi"), "a.avi", {"camera": SMALL}, "64x48"),
-    "a packed bag": (lambda root: (root / "a.db3.zstd").write_bytes(b"x"), "a.db3.zstd", {}, "unpack it"),
+    "a packed bag": (lambda root: (root / "a.db3.zstd").write_bytes(b"x"), "a.db3.zstd", {}, "must be unpacked"),
     "a bag that was not closed": (cut_off, "a.mcap", {}, "mcap recover"),
     "a bag without images": (put_bag(topic=None, others=IMU), "a", {}, "its topics are /imu"),
     "an encoding": (put_bag(image_options={"encoding": "jpeg2000"}), "a", {}, "encoding jpeg2000"),
@@ -581,4 +523,4 @@ def test_what_cannot_be_opened_is_named(tmp_path, monkeypatch, what):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SourceError, match=told) as error:
         list(open_stream(source, **options))
-    assert source.replace(":", " ") in str(error.value) or source in str(error.value)
+    assert source in str(error.value)

@@ -17,9 +17,9 @@ from conformodal.geometry.lens import AnyCamera
 from conformodal.io.cameras import UNDISTORT, Size, camera_of, fisheye_of
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
-from conformodal.io.frame_table import Damaged, FrameTable, paired_by_time
+from conformodal.io.frame_table import FrameTable, paired_by_time
 from conformodal.io.pose_files import euroc_table, matrices_of, matrix_faults, table_of
-from conformodal.io.reading import MALFORMED, Note, file_named, listed_images, number, read_lines, whole_number
+from conformodal.io.reading import MALFORMED, Note, file_named, number, parse_lines, read_lines, whole_number
 
 _MOST_BYTES = 16_000  # a calibration has a tenth of that
 _TRUTHS = ("state_groundtruth_estimate0", "mocap0")
@@ -51,27 +51,22 @@ def read_euroc_mav(folder: Path) -> FrameTable:
 
     def parse(line: str) -> tuple[float, Path]:
         time, name = (field.strip() for field in line.split(",")[:2])
-        if not name:
-            raise ValueError("no name")
         return whole_number(time) / 1e9, file_named(root / "cam0" / "data", name)
 
-    images, times = listed_images(path, parse, "'timestamp [ns], file'", notes)
+    rows = parse_lines(path, parse, "'timestamp [ns], file'")
+    times, images = np.array([time for time, _ in rows]), [image for _, image in rows]
     calibration = _calibration(root, common_size(images), notes)
-    poses, why = None, Damaged()
-    truth = next((place for place in truths if place.is_file()), None)
-    if truth is not None:
-        body, why = paired_by_time(euroc_table, truth, times + calibration.shift_s, notes)
-        poses = table_of(matrices_of(body) @ calibration.T_body_cam)
-    source = truths[0] if truth is None else path
-    return FrameTable(
-        folder.name, images, times, calibration.camera, poses, why=why, notes=notes, root=root, source=source
-    )
+    table = FrameTable(folder.name, images, times, calibration.camera, notes=notes, root=root, source=truths[0])
+    if truth := next((place for place in truths if place.is_file()), None):
+        body = paired_by_time(euroc_table, truth, times + calibration.shift_s, notes)
+        table.poses = table_of(matrices_of(body.rows) @ calibration.T_body_cam)
+        table.why, table.source = body.why, path
+    return table
 
 
 def _calibration(root: Path, size: Size, notes: list[Note]) -> _Calibration:
     sensor = root / "cam0" / "sensor.yaml"
-    places = (root / "cam0", root, root.parent, root / "dso", root.parent / "dso")
-    chains = [path for place in places for path in sorted(place.glob("*chain*.y*ml"))]
+    chains = [place / "camchain.yaml" for place in (root, root.parent, root / "dso", root.parent / "dso")]
     path = next((place for place in (sensor, *chains) if place.is_file()), sensor)
     text = "\n".join(line for line in read_lines(path) if not line.startswith("%YAML"))  # of OpenCV, not valid YAML
     if len(text) > _MOST_BYTES:
@@ -80,38 +75,33 @@ def _calibration(root: Path, size: Size, notes: list[Note]) -> _Calibration:
     try:
         content: Any = yaml.safe_load(text)
         content = content["cam0"] if kalibr else content
-        models = content.get("camera_model", "pinhole"), content.get("distortion_model") or _RADIAL[0]
+        model, distortion = content.get("camera_model", "pinhole"), content.get("distortion_model", _RADIAL[0])
         pixels = _numbers(content["intrinsics"], 4)
-        lens = _numbers(content.get("distortion_coeffs" if kalibr else "distortion_coefficients") or (), None)
-        stated = _numbers(content["resolution"], 2) if "resolution" in content else size
-        (shift_s,) = _numbers([content.get("timeshift_cam_imu") or 0.0 if kalibr else 0.0], 1)
-        T = _matrix(content["T_cam_imu" if kalibr else "T_BS"])
+        lens = _numbers(content.get("distortion_coeffs" if kalibr else "distortion_coefficients", []), None)
+        width, height = _numbers(content["resolution"], 2)
+        (shift_s,) = _numbers([content.get("timeshift_cam_imu", 0.0) if kalibr else 0.0], 1)
+        rows = [v for row in content["T_cam_imu"] for v in row] if kalibr else content["T_BS"]["data"]
+        T = np.array(_numbers(rows, 16)).reshape(4, 4)
     except (yaml.YAMLError, *MALFORMED) as exc:
         raise DatasetError(f"{path}: is not a camera calibration: {type(exc).__name__}: {str(exc)[:200]}") from exc
-    if models[0] != "pinhole" or models[1] not in (*_RADIAL, _FISHEYE) or (models[1] == _FISHEYE and len(lens) != 4):
+    fisheye = distortion == _FISHEYE and len(lens) == 4
+    if model != "pinhole" or not (fisheye or distortion in _RADIAL):
         raise DatasetError(
-            f"{path}: has camera model {models[0]}, {models[1]}; expected pinhole, {_RADIAL[0]} or {_FISHEYE} of four "
+            f"{path}: has camera model {model}, {distortion}; expected pinhole, {_RADIAL[0]} or {_FISHEYE} of four "
             f"numbers: {UNDISTORT}"
         )
     if fault := matrix_faults(T[None]).get(0):
         raise DatasetError(f"{path}: mounting of the camera {fault}")
     if shift_s:
         notes.append(Note(SHIFTED, f"{path}: timeshift_cam_imu, {shift_s:g} s, is added to the images' for poses"))
-    make = fisheye_of if models[1] == _FISHEYE else camera_of
-    camera = make(f"{path}: intrinsics", pixels, size, lens, stated=(int(stated[0]), int(stated[1])), notes=notes)
+    make = fisheye_of if fisheye else camera_of
+    camera = make(f"{path}: intrinsics", pixels, size, lens, stated=(int(width), int(height)), notes=notes)
     return _Calibration(camera, np.asarray(np.linalg.inv(T) if kalibr else T, dtype=np.float64), shift_s)
-
-
-def _matrix(values: Any) -> FloatArray:
-    """A matrix (4, 4) as EuRoC writes it, 16 numbers under ``data``, or as Kalibr does, four rows."""
-    rows = values["data"] if isinstance(values, dict) else values
-    rows = [v for row in rows for v in row] if isinstance(rows[0], list) else rows
-    return np.array(_numbers(rows, 16)).reshape(4, 4)
 
 
 def _numbers(values: Any, count: int | None) -> tuple[float, ...]:
     """A list of so many finite numbers; nothing else that YAML may hold."""
-    if not isinstance(values, list | tuple) or count not in (None, len(values)):
+    if not isinstance(values, list) or count not in (None, len(values)):
         raise ValueError(f"expected {count or 'a list of'} numbers")
     # YAML 1.1 takes 1e-05, without a point, for text
     numbers = tuple(number(v) if isinstance(v, str) else float(v) for v in values)

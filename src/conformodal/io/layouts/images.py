@@ -12,8 +12,8 @@ from conformodal.core.words import counted
 from conformodal.io.cameras import INTRINSICS, camera_beside
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
-from conformodal.io.frame_table import DOUBTFUL, Damaged, FrameTable, paired_by_time
-from conformodal.io.pose_files import kitti_table, tum_table, unpadded_doubt
+from conformodal.io.frame_table import FrameTable, paired_by_time
+from conformodal.io.pose_files import kitti_table, tum_table
 from conformodal.io.reading import SUFFIXES, Note, frame_times, image_files, number
 
 _TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")
@@ -43,39 +43,24 @@ def read_image_folder(folder: Path) -> FrameTable:
     if not images:
         raise DatasetError(f"{folder}: holds no image ({', '.join(SUFFIXES)})")
     _refuse_kinds(folder, images)
-    named = None if (folder / "times.txt").is_file() else _times_in_names(images)
-    if named is None:
+    times = None if (folder / "times.txt").is_file() else _times_in_names(images)
+    if times is None:
         times = frame_times(folder, len(images))
         _note_gaps(folder, images, notes)
-    else:
-        order = np.argsort(named, kind="stable")
-        images, times = [images[i] for i in order], named[order]
-        if doubt := unpadded_doubt([image.stem for image in images]):
-            notes.append(Note(DOUBTFUL, f"{folder}: {doubt}"))
-    camera = camera_beside(folder, common_size(images), None, notes)
-    why: Damaged = {}
-    poses = _poses(folder, times, why, notes)
-    source = folder if poses is not None else folder / _TUM[0]
-    return FrameTable(folder.name, images, times, camera, poses, why=why, notes=notes, source=source)
-
-
-def _poses(folder: Path, times: FloatArray, why: Damaged, notes: list[Note]) -> FloatArray | None:
-    there = [folder / name for name in POSE_FILES if (folder / name).is_file()]
-    if not there:
-        return None
-    path, *others = there
+    table = FrameTable(folder.name, images, times, camera_beside(folder, common_size(images), None, notes), notes=notes)
+    path, *others = [folder / name for name in POSE_FILES if (folder / name).is_file()] or [folder / _TUM[0]]
+    table.source = folder if path.is_file() else path
     if others:
-        names = ", ".join(other.name for other in others)
-        notes.append(Note("other poses are not read", f"{folder}: {path.name} is read, not {names}"))
-    if path.name in _TUM:
-        rows, faults = paired_by_time(tum_table, path, times, notes)
-        why |= faults
-        return rows
-    table = kitti_table(path)
-    why |= table.damaged
-    if len(table.rows) != len(times):
-        raise DatasetError(f"{path}: holds {len(table.rows)} poses, but there are {len(times)} images")
-    return table.rows
+        raise DatasetError(f"{folder}: holds poses in {path.name} and in {others[0].name}; remove one")
+    if path.is_file() and path.name in _TUM:
+        paired = paired_by_time(tum_table, path, times, notes)
+        table.poses, table.why = paired.rows, paired.why
+    elif path.is_file():
+        poses = kitti_table(path)
+        table.poses, table.why = poses.rows, poses.faults
+        if len(poses.rows) != len(times):
+            raise DatasetError(f"{path}: holds {len(poses.rows)} poses, but there are {len(times)} images")
+    return table
 
 
 def _refuse_kinds(folder: Path, images: list[Path]) -> None:
@@ -97,11 +82,10 @@ def _refuse_kinds(folder: Path, images: list[Path]) -> None:
 def _note_gaps(folder: Path, images: list[Path], notes: list[Note]) -> None:
     """Tell that times are even although the numbers in the names have gaps."""
     matches = [_NUMBERED.fullmatch(image.stem) for image in images]
-    numbers = [int(match[1]) for match in matches if match is not None]
-    steps = np.diff(numbers)
-    if (folder / "times.txt").is_file() or len(numbers) < len(images) or len(images) < _FEW:
+    steps = np.diff([int(match[1]) for match in matches if match is not None])
+    if (folder / "times.txt").is_file() or None in matches or len(images) < _FEW or steps.min() < 1:
         return
-    if steps.min() > 0 and steps.max() > steps.min():
+    if steps.max() > steps.min():
         gap = int(np.argmax(steps))
         where = f"{folder}: {images[gap].name} is followed by {images[gap + 1].name}, and times are even"
         notes.append(Note("names skip numbers", f"{where}; write times.txt (seconds, one per line)"))

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.io.cameras import camera_of, check_matrix
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
-from conformodal.io.frame_table import Damaged, FrameTable
+from conformodal.io.frame_table import FrameTable
 from conformodal.io.pose_files import KITTI_RATE_HZ, kitti_table, matrices_of, table_of
-from conformodal.io.reading import Note, image_files, number, numbers_of, read_lines, read_numbers, rows_of
+from conformodal.io.reading import Note, image_files, number, read_lines, read_numbers, whole_number
 
 CAMERAS = ("image_2", "image_0", "image_3", "image_1")  # colour where it is there; the left one first
 
@@ -29,53 +29,52 @@ def looks_like_kitti(folder: Path) -> bool:
 def read_kitti_odometry(folder: Path) -> FrameTable:
     """Read ``.../sequences/NN``, with one of ``CAMERAS``, ``calib.txt`` and perhaps ``times.txt``.
 
-    Poses are those of ``.../poses/NN.txt``, or of ``NN.txt`` or ``poses.txt`` in the folder itself. Images whose names
-    are numbers may be fewer than poses and times: an image's number is then its line, counted from 0.
+    Poses are those of ``.../poses/NN.txt``, or of ``NN.txt`` or ``poses.txt`` in the folder itself. An image's number
+    is its line in poses and times, counted from 0.
     """
     place = next((folder / name for name in CAMERAS if (folder / name).is_dir()), None)
-    if place is None:
-        raise DatasetError(f"{folder}: holds none of {', '.join(CAMERAS)}; expected a KITTI odometry sequence")
+    images = [] if place is None else image_files(place)
+    if place is None or not images:
+        raise DatasetError(f"{folder}: holds no image in {', '.join(CAMERAS)}; expected a KITTI odometry sequence")
     notes: list[Note] = []
-    images = image_files(place)
-    if not images:
-        raise DatasetError(f"{place}: holds no image")
     calibration, name = folder / "calib.txt", f"P{place.name[-1]}"
     projection = _projection(calibration, name)
     pixels = projection[[0, 1, 0, 1], [0, 1, 2, 2]]
     camera = camera_of(f"{calibration}: {name}", pixels, common_size(images), notes=notes)
+    try:
+        frames = np.array([whole_number(image.stem) for image in images])
+    except ValueError as exc:
+        raise DatasetError(f"{place}: images must be called by their numbers, such as 000000.png ({exc})") from None
+    stamped, times = folder / "times.txt", frames / KITTI_RATE_HZ
+    if stamped.is_file():
+        stamps = read_numbers(stamped)
+        times = stamps[_rows(frames, len(stamps), stamped)]
     files = [folder.parent.parent / "poses" / f"{folder.name}.txt", folder / f"{folder.name}.txt", folder / "poses.txt"]
-    path = next((file for file in files if file.is_file()), None)
-    why: Damaged = {}
-    if path is None:
-        poses, numbers = None, numbers_of(images)
-        frames = np.arange(len(images)) if numbers is None else numbers
-    else:
-        table = kitti_table(path)
-        frames = rows_of(images, len(table.rows), path, "poses, but there are")
-        why |= {i: table.damaged[row] for i, row in enumerate(frames.tolist()) if row in table.damaged}
-        grey = matrices_of(table.rows[frames])
+    table = FrameTable(f"kitti {folder.name}", images, times, camera, notes=notes, source=files[0])
+    if path := next((file for file in files if file.is_file()), None):
+        poses = kitti_table(path)
+        grey = matrices_of(poses.rows[_rows(frames, len(poses.rows), path)])
         # P = K [I | offset]: where camera 0's centre lies for this one
         grey[:, :3, 3] -= grey[:, :3, :3] @ np.linalg.solve(projection[:, :3], projection[:, 3])
-        poses = table_of(grey)
-    times = frames / KITTI_RATE_HZ
-    if (stamped := folder / "times.txt").is_file():
-        stamps = read_numbers(stamped)
-        times = stamps[rows_of(images, len(stamps), stamped, "times for")]
-    return FrameTable(f"kitti {folder.name}", images, times, camera, poses, why=why, notes=notes, source=files[0])
+        table.poses = table_of(grey)
+        table.why = {i: poses.faults[row] for i, row in enumerate(frames.tolist()) if row in poses.faults}
+    return table
+
+
+def _rows(frames: IntArray, n_rows: int, path: Path) -> IntArray:
+    """The numbers of images as lines of a file, which must have them."""
+    if frames.max() >= n_rows:
+        raise DatasetError(f"{path}: holds {n_rows} lines, but there is an image {frames.max()} (counted from 0)")
+    return frames
 
 
 def _projection(path: Path, name: str) -> FloatArray:
-    for line in read_lines(path):
-        if line.startswith(f"{name}:"):
-            try:
-                values = np.array([number(x) for x in line.split()[1:]])
-            except ValueError:
-                values = np.empty(0)
-            if values.size != 12 or not np.isfinite(values).all():
-                raise DatasetError(f"{path}: {name} must be twelve numbers (3x4), got {line[:80]!r}")
-            projection = values.reshape(3, 4)
-            check_matrix(f"{path}: {name}", projection[:, :3])
-            if min(projection[0, 0], projection[1, 1]) <= 0:
-                raise DatasetError(f"{path}: {name} needs positive focal lengths, got {line[:80]!r}")
-            return projection
-    raise DatasetError(f"{path}: has no line {name}:")
+    line = next((line for line in read_lines(path) if line.startswith(f"{name}:")), "")
+    try:
+        projection = np.array([number(x) for x in line.split()[1:]]).reshape(3, 4)
+    except ValueError:
+        projection = np.full((3, 4), np.nan)
+    if not np.isfinite(projection).all():
+        raise DatasetError(f"{path}: expected '{name}:' with twelve numbers (3x4), got {line[:80]!r}")
+    check_matrix(f"{path}: {name}", projection[:, :3])
+    return projection

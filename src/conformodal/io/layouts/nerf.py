@@ -22,10 +22,12 @@ from conformodal.io.reading import MALFORMED, SUFFIXES, Note, by_name, file_name
 
 FILES = ("transforms.json", "transforms_train.json")
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
-_SUFFIXES = (*SUFFIXES, *map(str.upper, SUFFIXES))
+_SUFFIXES = ("", *SUFFIXES, *map(str.upper, SUFFIXES))  # which a name may leave out
 _LENS, _FISHEYE_LENS = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
-_FOCAL = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y")
-_CAMERA_KEYS = (*_FOCAL, "cx", "cy", "w", "h", "camera_model", "is_fisheye", "k4", *_LENS)
+_ANGLES = ("camera_angle_x", "camera_angle_y")
+_WORDS = ("camera_model", "is_fisheye")
+_CAMERA_KEYS = ("fl_x", "fl_y", *_ANGLES, "cx", "cy", "w", "h", "k4", *_LENS, *_WORDS)
+_AGREE = 0.02  # of focal length and field of view
 _FISHEYE = "OPENCV_FISHEYE"
 _MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE", _FISHEYE)
 
@@ -38,45 +40,44 @@ def transforms_file(folder: Path) -> Path | None:
 def read_nerf(folder: Path) -> FrameTable:
     """Read the frames of ``transforms.json``, or else of ``transforms_train.json``, in the order of their file names.
 
-    A frame may have a camera of its own. Times are those of ``times.txt`` (seconds, one per line), or else even
-    (``frame-rate.txt`` in Hz, or 30). World and scale are the file's own. Fisheye images are undistorted, once.
+    They share one camera. Times are those of ``times.txt`` (seconds, one per line), or else even (``frame-rate.txt``
+    in Hz, or 30). World and scale are the file's own. Fisheye images are undistorted, once.
     """
     path = transforms_file(folder) or folder / FILES[0]
     notes: list[Note] = []
-    if path.name != FILES[0] and (others := sorted(p.name for p in folder.glob("transforms_*.json") if p != path)):
-        notes.append(Note("other frames are not read", f"{path}: is read, and {', '.join(others)} beside it are not"))
     try:
         content: Any = json.loads("\n".join(read_lines(path)))
-        frames = by_name(content["frames"], lambda frame: str(frame["file_path"]))
-        poses = np.array([_matrix(frame.get("transform_matrix")) for frame in frames], dtype=np.float64)
-        cameras = [_stated(content, frame) for frame in frames]
-    except MALFORMED as exc:
+        frames, names = content["frames"], [str(frame["file_path"]) for frame in content["frames"]]
+        poses = np.array([_matrix(frame.get("transform_matrix")) for frame in frames]).reshape(-1, 4, 4)
+        stated = [{k: frame.get(k, content.get(k)) for k in _CAMERA_KEYS} for frame in frames]
+        camera = {k: v if k in _WORDS else _number(v) for k, v in stated[0].items() if v is not None}
+    except (*MALFORMED, DatasetError) as exc:
         raise DatasetError(f"{path}: is not a NeRF file: {type(exc).__name__}: {str(exc)[:200]}") from exc
-    if not frames:
-        raise DatasetError(f"{path}: needs frames with 4x4 matrices, found none")
-    names = [str(frame["file_path"]) for frame in frames]
+    if any(other != stated[0] for other in stated):
+        raise DatasetError(f"{path}: gives frames cameras of their own; {UNDISTORT}, the same for all")
+    if other := next((key for key in content if "distort" in key and content[key]), None):
+        raise DatasetError(f"{path}: has {other[:40]}, expected the lens as {', '.join(_LENS)}")
+    order = by_name(range(len(names)), lambda i: names[i])
+    names, poses = [names[i] for i in order], poses[order]
     images = [_image(folder, name) for name in names]
     if not any(map(os.path.isfile, images)):
         raise DatasetError(f"{path}: names {names[0]}, but there is no such image in {folder}")
-    first: dict[str, str] = {}
-    for name, image in zip(names, images, strict=True):
-        if (other := first.setdefault(os.path.realpath(image), name)) is not name:
-            raise DatasetError(f"{path}: names {other} twice, as {name} too; expected one pose per image")
+    if len(set(map(os.path.realpath, images))) < len(images):
+        raise DatasetError(f"{path}: names an image twice, expected one pose per image")
+    lens = _camera(path, camera, common_size(images), notes)
     faults = matrix_faults(poses)
     poses[list(faults)] = np.nan
-    unposed = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2))).tolist()
-    why = {i: f"{path}: transform_matrix {faults.get(i, 'is missing, or holds NaN or infinity')}" for i in unposed}
-    poses[unposed] = np.nan
-    rows = table_of(poses * np.diag(OPENGL_AXES))  # turns the columns
     times, recording = times_by_folder(folder, images)
-    lenses = _cameras(path, cameras, images, notes)
-    table = FrameTable(folder.name, images, times, lenses, rows, recording, why=why, notes=notes)
+    # the product turns the columns
+    rows = table_of(poses * np.diag(OPENGL_AXES))
+    table = FrameTable(folder.name, images, times, lens, rows, recording, notes=notes)
+    table.why = {i: f"{path}: transform_matrix {fault}" for i, fault in faults.items()}
     table.root, table.source, table.as_stored = folder, path, True
     return table
 
 
 def _matrix(rows: Any) -> list[list[float]]:
-    """Four rows of four numbers; NaN for a frame without a pose."""
+    """Three or four rows of four numbers; NaN for a frame without a pose."""
     if rows is None:
         return [[np.nan] * 4] * 4
     if [len(row) for row in rows] not in ([4] * 4, [4] * 3):
@@ -93,70 +94,31 @@ def _number(value: Any) -> float:
 def _image(folder: Path, name: str) -> Path:
     """The file of a name, whose suffix may be left out."""
     whole = file_named(folder, name)
-    named = (whole, *(whole.with_name(f"{whole.name}{suffix}") for suffix in _SUFFIXES if whole.name))
+    named = [whole.with_name(f"{whole.name}{suffix}") for suffix in _SUFFIXES if whole.name]
     return next((path for path in named if os.path.lexists(path)), whole)
 
 
-def _stated(content: dict[str, Any], frame: dict[str, Any]) -> dict[str, Any]:
-    """The camera of a frame: its values replace those on top, and one focal length or angle replaces all of them."""
-    of_frame = {k: frame[k] for k in _CAMERA_KEYS if frame.get(k) is not None}
-    replaced = _FOCAL if any(k in of_frame for k in _FOCAL) else ()
-    camera = {k: content[k] for k in _CAMERA_KEYS if content.get(k) is not None and k not in replaced} | of_frame
-    if (other := next((k for k in content if "distort" in k and content[k]), None)) is not None:
-        raise ValueError(f"has {other[:40]}, expected the lens as {', '.join(_LENS)}")
-    named = {k: camera.pop(k) for k in ("camera_model", "is_fisheye") if k in camera}
-    numbers = {k: _number(v) for k, v in camera.items()}
-    if not np.isfinite(list(numbers.values())).all():
-        raise ValueError(f"its camera holds NaN or infinity: {numbers}")
-    return numbers | named
-
-
-def _cameras(path: Path, stated: list[dict[str, Any]], images: list[Path], notes: list[Note]) -> list[AnyCamera]:
-    """The camera of every frame; equal ones are made, and looked at, once."""
-    keys = [repr(sorted(camera.items())) for camera in stated]
-    made: dict[str, AnyCamera] = {}
-    for key, camera in zip(keys, stated, strict=True):
-        if key not in made:
-            there = [image for image, other in zip(images, keys, strict=True) if other == key and os.path.isfile(image)]
-            made[key] = _camera(path, camera, common_size(there or images), notes)
-    return [made[key] for key in keys]
-
-
-def _camera(path: Path, stated: dict[str, Any], size: Size, notes: list[Note]) -> AnyCamera:
-    fisheye = _is_fisheye(path, stated)
-    if ("w" in stated) != ("h" in stated):
-        raise DatasetError(f"{path}: says only one of 'w' and 'h' of a camera")
-    whole = (round(stated["w"]), round(stated["h"])) if "w" in stated else size
-    focal = {axis: _focal(path, stated, axis, side) for axis, side in zip("xy", whole, strict=True)}
-    fx, fy = (focal[axis] if focal[axis] is not None else focal[other] for axis, other in ("xy", "yx"))
-    if fx is None or fy is None:
-        raise DatasetError(f"{path}: says no camera, expected fl_x or camera_angle_x")
-    pixels = fx, fy, stated.get("cx", whole[0] / 2), stated.get("cy", whole[1] / 2)
-    lens = tuple(stated.get(k, 0.0) for k in (_FISHEYE_LENS if fisheye else _LENS))
-    make, lens = (fisheye_of, lens) if fisheye else (camera_of, lens if lens[4] else lens[:4])
-    return make(f"{path}: fl_x, fl_y, cx, cy", pixels, size, lens, stated=whole, notes=notes)
-
-
-def _focal(path: Path, stated: dict[str, Any], axis: str, side: int) -> float | None:
-    """Focal length along an axis, or that of a field of view; None where neither is said."""
-    if f"fl_{axis}" in stated:
-        return float(stated[f"fl_{axis}"])
-    name = f"camera_angle_{axis}"
-    if name not in stated or "fl_x" in stated:
-        return None
-    if not 0 < stated[name] < np.pi:
-        raise DatasetError(f"{path}: {name} is {stated[name]:g}, expected radians between 0 and 3.14")
-    return float(0.5 * side / np.tan(0.5 * stated[name]))
-
-
-def _is_fisheye(path: Path, stated: dict[str, Any]) -> bool:
-    """Whether the file says a fisheye lens; refuses what it does not say clearly."""
-    model = stated.get("camera_model", _FISHEYE if stated.get("is_fisheye") else "OPENCV")
+def _camera(path: Path, values: dict[str, Any], size: Size, notes: list[Note]) -> AnyCamera:
+    model = values.get("camera_model", _FISHEYE if values.get("is_fisheye") else "OPENCV")
     fisheye = model == _FISHEYE
-    unclear = stated.get("p1") or stated.get("p2") if fisheye else stated.get("k4") or stated.get("is_fisheye")
-    if model not in _MODELS or unclear or (fisheye and "fl_x" not in stated):
+    unclear = values.get("p1") or values.get("p2") if fisheye else values.get("k4") or values.get("is_fisheye")
+    if model not in _MODELS or unclear or (fisheye and "fl_x" not in values):  # whose angles are not a pinhole's
         raise DatasetError(
-            f"{path}: has camera_model {str(model)[:40]} with {', '.join(sorted(stated))}; expected one of "
+            f"{path}: has camera_model {str(model)[:40]} with {', '.join(sorted(values))}; expected one of "
             f"{', '.join(_MODELS)}, k4 with {_FISHEYE} alone, and p1, p2 without it: {UNDISTORT}"
         )
-    return bool(fisheye)
+    if ("w" in values) != ("h" in values) or not all(0 < values.get(name, 1.0) < np.pi for name in _ANGLES):
+        raise DatasetError(f"{path}: expected both w and h or none, and camera_angle_x in radians between 0 and 3.14")
+    whole = (round(values["w"]), round(values["h"])) if "w" in values else size
+    angles = {name: whole[k] / np.tan(values[name] / 2) / 2 for k, name in enumerate(_ANGLES) if name in values}
+    fx = values.get("fl_x", values.get("fl_y", angles.get(_ANGLES[0], angles.get(_ANGLES[1]))))
+    fy = values.get("fl_y", values.get("fl_x", angles.get(_ANGLES[1], fx)))
+    if fx is None or fy is None or abs(angles.get(_ANGLES[0], fx) / fx - 1) > _AGREE:
+        raise DatasetError(
+            f"{path}: has fl_x {fx} and camera_angle_x {values.get(_ANGLES[0])}, expected one or both alike"
+        )
+    pixels = fx, fy, values.get("cx", whole[0] / 2), values.get("cy", whole[1] / 2)
+    make, names = (fisheye_of, _FISHEYE_LENS) if fisheye else (camera_of, _LENS)
+    lens = tuple(values.get(name, 0.0) for name in names)
+    lens = lens if fisheye or lens[4] else lens[:4]
+    return make(f"{path}: fl_x, fl_y, cx, cy", pixels, size, lens, stated=whole, notes=notes)

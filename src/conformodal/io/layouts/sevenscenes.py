@@ -15,20 +15,19 @@ from pathlib import Path
 
 import numpy as np
 
-from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.core.arrays import BoolArray
 from conformodal.geometry import PinholeCamera
 from conformodal.io.cameras import INTRINSICS, camera_beside
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
-from conformodal.io.frame_table import Damaged, FrameTable
+from conformodal.io.frame_table import FrameTable
 from conformodal.io.pose_files import matrix_faults, table_of
 from conformodal.io.reading import (
-    FRAME_RATE_HZ,
     Note,
     joined_recordings,
     numbered_frames,
+    parse_lines,
     read_frame_rate,
-    read_lines,
     read_numbers,
     recording_folders,
 )
@@ -49,47 +48,49 @@ def looks_like_scene(folder: Path) -> bool:
 def read_sevenscenes(folder: Path) -> FrameTable:
     """Read a recording (``seq-01``), or a scene that holds some."""
     notes: list[Note] = []
-    recordings = [folder] if numbered_frames(folder, _IMAGE) else recording_folders(folder, _PREFIX, notes)
+    alone = bool(numbered_frames(folder, _IMAGE))
+    recordings = [folder] if alone else recording_folders(folder, _PREFIX)
     frames = [numbered_frames(recording, _IMAGE) for recording in recordings]
     empty = [recording for recording, images in zip(recordings, frames, strict=True) if not images]
     if empty or not recordings:
         raise DatasetError(f"{(*empty, folder)[0]}: holds no frame-NNNNNN.color.png or .jpg")
-    rate = _beside("frame-rate.txt", recordings[0], folder)
-    images, times, recording_of = joined_recordings(frames, FRAME_RATE_HZ if rate is None else read_frame_rate(rate))
-    held_out = None if recordings == [folder] else _listed_for_testing(folder, recordings)
-    name = folder.name if recordings == [folder] else f"{folder.name} ({len(recordings)} seq)"
-    why: Damaged = {}
-    poses = _poses(images, why) if any(pose_path(path).exists() for path in images) else None
-    intrinsics = _beside(INTRINSICS, recordings[0], folder)
-    camera = camera_beside(folder if intrinsics is None else intrinsics.parent, common_size(images), CAMERA, notes)
-    tests = None if held_out is None else held_out[recording_of]
-    source = pose_path(images[0]) if poses is None else folder
-    return FrameTable(name, images, times, camera, poses, recording_of, tests, why, notes, source=source)
+    rate_hz = read_frame_rate(_beside("frame-rate.txt", recordings[0], folder))
+    joined = joined_recordings(frames, rate_hz)
+    intrinsics = _beside(INTRINSICS, recordings[0], folder) or folder / INTRINSICS
+    camera = camera_beside(intrinsics.parent, common_size(joined.images), CAMERA, notes)
+    table = FrameTable(
+        folder.name if alone else f"{folder.name} ({len(recordings)} seq)",
+        joined.images,
+        joined.times,
+        camera,
+        recording=joined.recording,
+        notes=notes,
+        source=pose_path(joined.images[0]),
+    )
+    if not alone and any((folder / name).is_file() for name in _LISTS):
+        table.given_test = _listed_for_testing(folder, recordings)[joined.recording]
+    if any(pose_path(image).exists() for image in joined.images):
+        table.source = folder
+        _add_poses(table)
+    return table
 
 
-def _listed_for_testing(folder: Path, recordings: list[Path]) -> BoolArray | None:
-    """Which of a scene's recordings are in its list of test recordings; None without lists."""
-    lists = [folder / name for name in _LISTS]
-    missing = [path for path in lists if not path.is_file()]
-    if len(missing) == len(lists):
-        return None
-    if missing:
-        raise DatasetError(f"{missing[0]}: is missing, and the other list is beside it")
-    places = {int(path.name.removeprefix(_PREFIX)): i for i, path in enumerate(recordings)}
-    listed: dict[int, bool] = {}  # whether a recording tests
-    for path in lists:
-        for at, text in enumerate(map(str.strip, read_lines(path)), start=1):
-            match = _LISTED.fullmatch(text)
-            i = -1 if match is None else places.get(int(match[1]), -1)
-            if text and (i < 0 or i in listed):
-                why = "is listed before" if i >= 0 else f"does not stand for a folder in {folder}"
-                raise DatasetError(f"{path}: line {at}, {text[:80]!r}, {why}")
-            listed |= {i: path is lists[1]} if text else {}
-        if (path is lists[1]) not in listed.values():
-            raise DatasetError(f"{path}: names no recording, expected one or more")
-    if unlisted := [path.name for i, path in enumerate(recordings) if i not in listed]:
-        raise DatasetError(f"{lists[0]}: names {unlisted[0]} in no line, nor does {lists[1].name}")
-    return np.array([listed[i] for i in range(len(recordings))])
+def _listed_for_testing(folder: Path, recordings: list[Path]) -> BoolArray:
+    """Which of a scene's recordings are in its list of test recordings; each must be in one of the two lists."""
+
+    def parse(line: str) -> int:
+        match = _LISTED.fullmatch(line.strip())
+        if match is None:
+            raise ValueError("not a recording")
+        return int(match[1])
+
+    train, test = (parse_lines(folder / name, parse, "'sequence1'") for name in _LISTS)
+    numbers = [int(recording.name.removeprefix(_PREFIX)) for recording in recordings]
+    if sorted(train + test) != sorted(numbers):
+        raise DatasetError(
+            f"{folder}: {_LISTS[0]} names {train} and {_LISTS[1]} {test}, expected each of the folders {numbers} once"
+        )
+    return np.isin(numbers, test)
 
 
 def pose_path(image: Path) -> Path:
@@ -97,27 +98,19 @@ def pose_path(image: Path) -> Path:
     return image.with_name(_IMAGE.sub(r"frame-\1.pose.txt", image.name))
 
 
-def _poses(images: list[Path], why: Damaged) -> FloatArray:
-    """Poses (n, 7) of frames, NaN where there is none, and why."""
-    poses = np.full((len(images), 4, 4), np.nan)
-    for i, path in enumerate(map(pose_path, images)):
-        try:
-            if path.exists():
-                poses[i] = _read_matrix(path)
-            else:
-                why[i] = f"{path}: pose is missing"
-        except DatasetError as exc:
-            why[i] = str(exc)
-    why |= {i: f"{pose_path(images[i])}: {fault}" for i, fault in matrix_faults(poses).items()}
-    poses[list(why)] = np.nan
-    return table_of(poses)
-
-
-def _read_matrix(path: Path) -> FloatArray:
-    matrix = read_numbers(path)
-    if matrix.size != 16 or not np.isfinite(matrix).all():
-        raise DatasetError(f"{path}: holds {matrix.size} numbers, expected 16 (4x4), all finite")
-    return matrix.reshape(4, 4)
+def _add_poses(table: FrameTable) -> None:
+    poses = np.full((len(table.images), 4, 4), np.nan)
+    for i, path in enumerate(map(pose_path, table.images)):
+        table.why[i] = f"{path}: pose is missing, or holds NaN or infinity"
+        if path.exists():
+            numbers = read_numbers(path)
+            if numbers.size != 16:
+                raise DatasetError(f"{path}: holds {numbers.size} numbers, expected 16 (4x4)")
+            poses[i] = numbers.reshape(4, 4)
+    faults = matrix_faults(poses)
+    table.why |= {i: f"{pose_path(table.images[i])}: {fault}" for i, fault in faults.items()}
+    poses[list(faults)] = np.nan
+    table.poses = table_of(poses)
 
 
 def _beside(name: str, recording: Path, folder: Path) -> Path | None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
+
 from conformodal.geometry import PinholeCamera
 from conformodal.io.cameras import camera_beside
 from conformodal.io.decoding import common_size
-from conformodal.io.frame_table import DOUBTFUL, Damaged, FrameTable, paired_by_time
-from conformodal.io.pose_files import tum_table, unpadded_doubt
-from conformodal.io.reading import Note, file_named, listed_images, number
+from conformodal.io.frame_table import FrameTable, paired_by_time
+from conformodal.io.pose_files import tum_table
+from conformodal.io.reading import Note, file_named, number, parse_lines
 
 # Published calibrations of the three colour cameras; freiburg3's images have no distortion left.
 CAMERAS = {
@@ -29,21 +31,17 @@ def read_tum_rgbd(folder: Path) -> FrameTable:
     """
     path, truth = folder / "rgb.txt", folder / "groundtruth.txt"
     notes: list[Note] = []
-    stamps: list[str] = []
 
     def parse(line: str) -> tuple[float, Path]:
         stamp, name = re.split(r"[,;\s]+", line.strip(), maxsplit=1)
-        time, image = number(stamp), file_named(folder, name.strip('" '))
-        if image == folder:
-            raise ValueError("no name")
-        stamps.append(stamp)
-        return time, image
+        return number(stamp), file_named(folder, name.strip('" '))
 
-    images, times = listed_images(path, parse, "'timestamp filename'", notes)
-    if doubt := unpadded_doubt(stamps):
-        notes.append(Note(DOUBTFUL, f"{path}: {doubt}"))
+    rows = parse_lines(path, parse, "'timestamp filename'")
+    times, images = np.array([time for time, _ in rows]), [image for _, image in rows]
     match = _NUMBERED.search(folder.name)
     camera = camera_beside(folder, common_size(images), CAMERAS[match[1]] if match else None, notes)
-    poses, why = paired_by_time(tum_table, truth, times, notes) if truth.is_file() else (None, Damaged())
-    source = path if poses is not None else truth
-    return FrameTable(folder.name, images, times, camera, poses, why=why, notes=notes, root=folder, source=source)
+    table = FrameTable(folder.name, images, times, camera, notes=notes, root=folder, source=truth)
+    if truth.is_file():
+        paired = paired_by_time(tum_table, truth, times, notes)
+        table.poses, table.why, table.source = paired.rows, paired.why, path
+    return table

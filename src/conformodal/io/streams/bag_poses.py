@@ -8,9 +8,9 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted
-from conformodal.geometry import Trajectory, matrix_from_quat_wxyz, poses_at, rigid_motions
+from conformodal.geometry import Trajectory, poses_at
 from conformodal.geometry.metrics import MAX_GAP_S
-from conformodal.io.pose_files import pose_faults
+from conformodal.io.pose_files import matrices_of, pose_faults
 from conformodal.io.reading import Note
 
 from .bag import BagStream, bag_reader
@@ -25,25 +25,19 @@ _WITHIN = {  # where a message has its pose
     _TRANSFORM: "transform",
 }
 _STATIC = "tf_static"
-_IDENTITY = (0, 0, 0, 1, 0, 0, 0)
 _BY_HAND = "if these are the camera's poses, give them as a TUM file"
+
+# Of each frame (child) its parent, and rows ``time x y z qw qx qy qz`` of its poses in it.
+_Tree = dict[str, tuple[str, list[list[float]]]]
 
 
 class _Edge(NamedTuple):
-    """Poses of a frame in its parent: rows ``time x y z qw qx qy qz`` (n, 8)."""
+    """Poses of a frame in its parent, and its own in the root of the static tree."""
 
+    frame: str
     parent: str
-    rows: FloatArray
-
-    def trajectory(self) -> Trajectory:
-        return Trajectory(self.rows[:, 0], self.rows[:, 1:4], self.rows[:, 4:])
-
-    def last_pose(self) -> FloatArray:
-        return np.asarray(self.trajectory()[-1:].poses_se3[0])
-
-
-_Tree = dict[str, _Edge]  # by frame
-_Rows = dict[tuple[str, str], list[list[float]]]  # of a frame in its parent
+    path: Trajectory
+    T_root_frame: FloatArray
 
 
 def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: float = MAX_GAP_S) -> Trajectory:
@@ -68,20 +62,18 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
         If there are no poses on the topic, or nothing leads from their frame to the camera's.
     """
     place = f"{bag.path}: {topic}"
-    moving_rows, static_rows, n_unusable = _Rows(), _Rows(), 0
+    moving, static, n_unusable = _Tree(), _Tree(), 0
     with bag_reader(bag.path) as reader:
         kinds = {c.topic: c.msgtype for c in reader.connections if c.msgcount and not _is_static(c.topic)}
         kinds = {name: kind for name, kind in kinds.items() if kind in (*_WITHIN, *_TRANSFORMS)}
         if topic not in kinds:
             named = ", ".join(sorted(kinds)) or "none"
-            if "." in topic:  # as no name of a topic has
-                raise SourceError(f"{topic}: no such file of poses; {bag.path} has poses on {named}")
             raise SourceError(f"{bag.path}: holds no poses on {topic}, which is no file either; there are {named}")
-        wanted = [c for c in reader.connections if c.topic == topic or _is_static(c.topic)]
-        images = [c for c in reader.connections if c.topic == bag.topic]
         try:
+            images = [c for c in reader.connections if c.topic == bag.topic]
             connection, _, raw = next(reader.messages(connections=images))
             camera = _frame(reader.deserialize(raw, connection.msgtype).header.frame_id)
+            wanted = [c for c in reader.connections if c.topic == topic or _is_static(c.topic)]
             for connection, received_ns, raw in reader.messages(connections=wanted):
                 message, received_s = reader.deserialize(raw, connection.msgtype), received_ns / 1e9
                 is_transforms = connection.msgtype in _TRANSFORMS
@@ -91,32 +83,58 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
                     if not np.isfinite(row).all() or pose_faults(np.array([row[1:4]]), np.array([row[4:]])):
                         n_unusable += 1
                         continue
-                    frames = _frame(getattr(each, "child_frame_id", "")), _frame(each.header.frame_id)
-                    (static_rows if connection.topic != topic else moving_rows).setdefault(frames, []).append(row)
+                    frame, parent = _frame(getattr(each, "child_frame_id", "")) or camera, _frame(each.header.frame_id)
+                    tree = moving if connection.topic == topic else static
+                    if tree.setdefault(frame, (parent, []))[0] != parent:
+                        raise ValueError(f"has poses of {frame} in {tree[frame][0]} and in {parent}; {_BY_HAND}")
+                    tree[frame][1].append(row)
         except Exception as exc:  # damaged bytes lead a decoder to any error
             raise SourceError(f"{place}: cannot be read: {exc}") from exc
+    if kinds[topic].endswith(("PoseStamped", "PoseWithCovarianceStamped")):
+        notes.append(Note("poses", f"{place}: name no frame, and are taken as those of the camera"))
     if n_unusable:
         notes.append(Note("left out, pose cannot be used", f"{place}: {counted(n_unusable, 'pose')}"))
-    moving, static = _tree(moving_rows, place), _tree(static_rows, f"{bag.path}: /{_STATIC}", static=True)
-    if not moving:
-        raise SourceError(f"{place}: holds no pose that can be used")
-    if kinds[topic] in _TRANSFORMS:
-        return _along_transforms(moving, static, camera, place, notes, max_gap_s)
-    if len(moving) > 1:
-        raise SourceError(f"{place}: has poses of several frames ({', '.join(moving)}), expected one")
-    ((frame, edge),) = moving.items()
-    told = f"{place}: of {frame or 'a frame without a name, taken as the camera'} in {edge.parent or 'the world'}"
-    path = edge.trajectory()
-    if frame in ("", camera):
-        notes.append(Note("poses", told))
-        return path
-    (root, T_root_frame), (other, T_root_cam) = _to_root(static, frame), _to_root(static, camera)
-    if root != other:
-        missing = "" if static else f", and there is no /{_STATIC}"
-        apart = f"and the images are of {camera!r}: no static transform connects them{missing}"
-        raise SourceError(f"{told}, {apart}; {_BY_HAND}")
-    notes.append(Note("poses", f"{told}, moved to {camera} by /{_STATIC}"))
-    return Trajectory.from_poses_se3(path.timestamps_s, path.poses_se3 @ np.linalg.inv(T_root_frame) @ T_root_cam)
+    if not moving or (len(moving) > 1 and kinds[topic] not in _TRANSFORMS):
+        raise SourceError(f"{place}: has poses of {', '.join(moving) or 'no frame'}, expected those of one frame")
+    return _along(moving, static, camera, place, notes, max_gap_s)
+
+
+def _along(moving: _Tree, static: _Tree, camera: str, place: str, notes: list[Note], max_gap_s: float) -> Trajectory:
+    """Poses of the camera in the root of all transforms, at the times of the one that is sent most often."""
+    edges = dict[str, _Edge]()  # by the root of the frame in the static tree
+    for frame, (parent, rows) in moving.items():
+        root, T_root_frame = _to_root(static, frame)
+        if root in edges:
+            raise SourceError(
+                f"{place}: moves {frame} and {edges[root].frame}, which are fixed to each other; {_BY_HAND}"
+            )
+        edges[root] = _Edge(frame, parent, _path(np.unique(rows, axis=0), place, frame), T_root_frame)
+    root, T_root_cam = _to_root(static, camera)
+    chain = []
+    while root in edges:
+        chain.append(edges.pop(root))
+        root, _ = _to_root(static, chain[-1].parent)
+    if not chain:
+        ends = ", ".join(f"{parent} to {frame}" for frame, (parent, _) in moving.items())
+        apart = "" if static else f"; there is no /{_STATIC}"
+        where = f"{place}: leads from {ends}, and not to {camera!r}, which the images are of{apart}"
+        raise SourceError(f"{where}; {_BY_HAND}")
+    times = max((edge.path for edge in chain), key=len).timestamps_s
+    poses = np.tile(T_root_cam, (len(times), 1, 1))
+    for edge in chain:
+        _, T_next_parent = _to_root(static, edge.parent)
+        T_parent_frame = matrices_of(poses_at(edge.path, times, max_gap_s).rows)
+        poses = T_next_parent @ T_parent_frame @ np.linalg.inv(edge.T_root_frame) @ poses
+    complete = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
+    if not complete.any():
+        raise SourceError(f"{place}: its transforms are never within {max_gap_s:g} s of each other")
+    if not complete.all():
+        lost = f"{(~complete).sum()} of {counted(len(times), 'pose')}"
+        where = f"{place}: {lost}, by more than {max_gap_s:g} s (--max-gap)"
+        notes.append(Note("left out, transforms are apart", where))
+    through = "".join(f", through {edge.frame}" for edge in reversed(chain) if edge.frame != camera)
+    notes.append(Note("poses", f"{place}: of {camera or 'the camera'} in {root or 'the world'}{through}"))
+    return Trajectory.from_poses_se3(times[complete], poses[complete])
 
 
 def _is_static(topic: str) -> bool:
@@ -136,59 +154,17 @@ def _pose_of(message: Any, kind: str) -> list[float]:
     return [at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z]
 
 
-def _tree(rows: _Rows, place: str, *, static: bool = False) -> _Tree:
-    """Each frame with its parent, of which there is one, and one pose per time; static ones may be sent again."""
-    tree = _Tree()
-    for (frame, parent), poses in rows.items():
-        if frame in tree:
-            parents = f"{tree[frame].parent or 'the world'} and in {parent or 'the world'}"
-            raise SourceError(f"{place}: has poses of {frame or 'a frame without a name'} in {parents}; {_BY_HAND}")
-        tree[frame] = _Edge(parent, np.unique(poses, axis=0))
-        twice = int((np.diff(tree[frame].rows[:, 0]) == 0).sum())
-        if twice and not static:
-            of = f"{counted(twice, 'pose')} of {frame or 'a frame without a name'}"
-            raise SourceError(f"{place}: {of} have the time of another; do two nodes send them?")
-    return tree
+def _path(rows: FloatArray, place: str, frame: str) -> Trajectory:
+    if (np.diff(rows[:, 0]) == 0).any():
+        raise SourceError(f"{place}: has two poses of {frame} for one time; do two nodes send them?")
+    return Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
 
 
 def _to_root(static: _Tree, frame: str) -> tuple[str, FloatArray]:
     """The root above a frame in the tree of static transforms, and ``T_root_frame``."""
     pose, passed = np.eye(4), {frame}
-    while (edge := static.get(frame)) is not None and edge.parent not in passed:
-        pose, frame = edge.last_pose() @ pose, edge.parent
+    while frame in static and static[frame][0] not in passed:
+        frame, rows = static[frame]
+        pose = matrices_of(np.array(rows[-1:])[:, 1:])[0] @ pose
         passed.add(frame)
     return frame, pose
-
-
-def _along_transforms(
-    moving: _Tree, static: _Tree, camera: str, place: str, notes: list[Note], max_gap_s: float
-) -> Trajectory:
-    """Poses of the camera's frame in the root of all transforms, at the times of the one that is sent most often."""
-    chain, root = list[str](), camera
-    while root not in chain and (root in moving or root in static):
-        chain.append(root)
-        root = (moving.get(root) or static[root]).parent
-    if root in chain:
-        raise SourceError(f"{place}: leads from {' to '.join([*chain, root])}, in a circle; {_BY_HAND}")
-    paths = {frame: moving[frame].trajectory() for frame in chain if frame in moving}
-    if not paths:
-        ends = ", ".join(f"{edge.parent} to {child}" for child, edge in moving.items())
-        raise SourceError(f"{place}: leads from {ends}, and not to {camera!r}, which the images are of; {_BY_HAND}")
-    times = max(paths.values(), key=len).timestamps_s
-    poses, complete = np.tile(np.eye(4), (len(times), 1, 1)), np.ones(len(times), dtype=bool)
-    for frame in chain:
-        if frame not in paths:
-            poses = static[frame].last_pose() @ poses
-            continue
-        rows, _ = poses_at(paths[frame], times, max_gap_s)
-        missing = ~np.isfinite(rows).all(axis=1)
-        rows[missing], complete = _IDENTITY, complete & ~missing
-        poses = rigid_motions(matrix_from_quat_wxyz(rows[:, 3:]), rows[:, :3]) @ poses
-    if not complete.any():
-        raise SourceError(f"{place}: {' and '.join(paths)} are never within {max_gap_s:g} s of each other")
-    if not complete.all():
-        of = f"{(~complete).sum()} of {counted(len(times), 'pose')}: {' and '.join(paths)} are not sent within"
-        notes.append(Note("left out, transforms are apart", f"{place}: {of} {max_gap_s:g} s (max_gap_s) of each other"))
-    through = f", through {', '.join(reversed(chain[1:]))}" if chain[1:] else ""
-    notes.append(Note("poses", f"{place}: of {camera} in {root}{through}"))
-    return Trajectory.from_poses_se3(times[complete], poses[complete])

@@ -1,15 +1,27 @@
-"""One frame of a stream, and what a stream is."""
+"""One frame of a stream, and what a stream is; a data set as a stream, several streams as one, and decoding ahead."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import time
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from queue import Empty, Full, Queue
+from threading import Event, Thread
 from typing import Protocol
 
-from conformodal.core.arrays import UInt8Array
+import numpy as np
+
+from conformodal.core.arrays import IntArray, UInt8Array
+from conformodal.core.ranges import as_member
 from conformodal.geometry import PinholeCamera
-from conformodal.io.errors import DatasetError
+from conformodal.io.errors import DatasetError, ImageError
 from conformodal.io.reading import Note
+from conformodal.io.recording import Recording, join_recordings, shift_behind
+
+DEPTH = 4
+_WAIT_S = 0.1  # after which the thread looks whether its taker has gone
 
 
 class SourceError(DatasetError):
@@ -83,3 +95,153 @@ class FrameStream(Protocol):
 
     def __iter__(self) -> Iterator[Frame]:
         """Decode frame after frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingStream:
+    """Frames of a data set.
+
+    Attributes
+    ----------
+    sequence
+        The data set.
+    frames
+        Increasing indices of those that want an answer, all by default. The frames between them come too, for the
+        tracker.
+    """
+
+    sequence: Recording
+    frames: IntArray | None = None
+    live = False
+
+    @property
+    def name(self) -> str:
+        """The data set's."""
+        return self.sequence.name
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """The data set's."""
+        return self.sequence.camera
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """The data set's."""
+        return self.sequence.notes
+
+    @property
+    def n_frames(self) -> int:
+        """Frames to come, those between included."""
+        return len(self._span())
+
+    def _span(self) -> range:
+        if self.frames is None:
+            return range(len(self.sequence))
+        return range(int(self.frames.min()), int(self.frames.max()) + 1) if self.frames.size else range(0)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Decode frame after frame; one that cannot be decoded comes without an image."""
+        wanted = set(self._span() if self.frames is None else self.frames.tolist())
+        for i in self._span():
+            image, problem = None, ""
+            try:
+                image = self.sequence.image(i)
+            except ImageError as exc:
+                problem = str(exc)
+            name, time_s = self.sequence.image_paths[i].name, float(self.sequence.timestamps_s[i])
+            yield Frame(name, time_s, image, problem, int(self.sequence.recording[i]), i in wanted, i)
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedStream:
+    """Streams one after the other, joined as :func:`join_recordings` joins data sets; see :func:`join_streams`."""
+
+    streams: tuple[FrameStream, ...]
+    name: str
+    camera: PinholeCamera | None
+    n_frames: int | None
+    notes: tuple[Note, ...]
+    live = False
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Decode frame after frame."""
+        end_s, n_recordings = -np.inf, 0
+        for stream in self.streams:
+            last_s, last_recording, shift_s = end_s, n_recordings, None
+            for frame in stream:
+                shift_s = shift_behind(frame.timestamp_s, end_s) if shift_s is None else shift_s
+                time_s, recording = frame.timestamp_s + shift_s, frame.recording + n_recordings
+                last_s, last_recording = max(last_s, time_s), max(last_recording, recording)
+                yield replace(frame, timestamp_s=time_s, recording=recording, index=-1)
+            end_s, n_recordings = last_s, last_recording + 1
+
+
+def join_streams(streams: Sequence[FrameStream]) -> FrameStream:
+    """One stream from at least one; data sets alone become one data set, with their poses."""
+    if len(streams) == 1:
+        return streams[0]
+    if endless := next((stream for stream in streams if stream.live), None):
+        raise SourceError(f"{endless.name}: never ends, so it cannot be one of several sources")
+    data_sets = [stream.sequence for stream in streams if isinstance(stream, RecordingStream)]
+    if len(data_sets) == len(streams):
+        return RecordingStream(join_recordings(data_sets))
+    counts = [stream.n_frames for stream in streams]
+    return JoinedStream(
+        tuple(streams),
+        name=" + ".join(stream.name for stream in streams),
+        camera=next((stream.camera for stream in streams if stream.camera is not None), None),
+        n_frames=None if None in counts else sum(count or 0 for count in counts),
+        notes=tuple(note for stream in streams for note in stream.notes),
+    )
+
+
+class Pace(StrEnum):
+    """How fast a stored source is played."""
+
+    FAST = "fast"
+    CAMERA = "camera"
+
+
+def prefetch(stream: FrameStream, depth: int = DEPTH, pace: Pace | str = Pace.FAST) -> Generator[Frame]:
+    """Frames of a stream, decoded ahead; its :class:`SourceError` comes after all frames before it.
+
+    Stored sources wait when `depth` frames are ready; the pace ``camera`` plays them by their timestamps. Then, and
+    where the source is live, nothing waits: the oldest frame that was not taken yet is lost, as it would be to a robot.
+    """
+    pace = as_member(pace, Pace, "pace", SourceError)
+    by_time, lossy = pace is Pace.CAMERA and not stream.live, stream.live or pace is Pace.CAMERA
+    ready: Queue[Frame | BaseException | None] = Queue(depth)  # None ends it
+    stopped = Event()
+
+    def offer(item: Frame | BaseException | None) -> None:
+        while not stopped.is_set():
+            if lossy and ready.full():
+                with suppress(Empty):
+                    ready.get_nowait()
+            with suppress(Full):
+                return ready.put(item, timeout=_WAIT_S)
+
+    def decode() -> None:
+        start_s: float | None = None
+        try:
+            for frame in stream:
+                if by_time:
+                    start_s = time.monotonic() - frame.timestamp_s if start_s is None else start_s
+                    time.sleep(max(0.0, start_s + frame.timestamp_s - time.monotonic()))
+                offer(frame)
+                if stopped.is_set():
+                    return
+            offer(None)
+        except BaseException as exc:
+            offer(exc)
+
+    thread = Thread(target=decode, name="decoder", daemon=True)
+    thread.start()
+    try:
+        while (item := ready.get()) is not None:
+            if isinstance(item, BaseException):
+                raise item
+            yield item
+    finally:
+        stopped.set()
+        thread.join(timeout=5)

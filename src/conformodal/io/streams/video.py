@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
-import struct
 import time
 import warnings
 from collections.abc import Iterator
@@ -34,47 +32,19 @@ def _rgb(image: AnyArray) -> UInt8Array:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
-def _is_mirrored(path: Path) -> bool:
-    """Whether an MP4 or MOV file shows a track mirrored by the matrix in its header, which OpenCV passes over."""
-    with path.open("rb") as file:
-        while len(head := file.read(16)) == 16:
-            n_bytes = int.from_bytes(head[8:] if head[:4] == b"\0\0\0\1" else head[:4])
-            if n_bytes < 8:
-                return False
-            if head[4:8] == b"moov":
-                movie = head[8:] + file.read(n_bytes - 16) + bytes(99)
-                for match in re.finditer(rb"mvhd|tkhd", movie):
-                    at = match.end() + (36 if match[0] == b"mvhd" else 40) + 12 * (movie[match.end()] == 1)
-                    a, b, _, c, d = struct.unpack_from(">5i", movie, at)
-                    if a * d < b * c:
-                        return True
-                return False
-            file.seek(n_bytes - 16, 1)
-    return False
-
-
-def _is_cut_off(path: Path) -> bool:
-    """Whether an AVI file is shorter than it states; others do not state it in one place."""
-    with path.open("rb") as file:
-        head = file.read(8)
-    return head[:4] == b"RIFF" and int.from_bytes(head[4:], "little") + 8 > path.stat().st_size
-
-
 @contextmanager
 def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
     capture = cv2.VideoCapture(os.path.abspath(path))  # what stands before a colon is taken for a protocol
     try:
         if not capture.isOpened():
-            raise SourceError(f"{path}: cannot be opened as a video")
+            raise SourceError(f"{path}: cannot be opened as a video; a packed file must be unpacked first")
         yield capture
     finally:
         capture.release()
 
 
 def open_video(path: Path, camera: PinholeCamera | None = None) -> VideoStream:
-    """A video file; a :class:`SourceError` if it is missing, not a video, or shown mirrored."""
-    if not path.is_file():
-        raise SourceError(f"{path}: no such video")
+    """A video file; a :class:`SourceError` if it is not a video, or shown aslant."""
     with path.open("rb") as file:
         if (head := file.read(8)).startswith(_LISTS):
             raise SourceError(f"{path}: is a list of other files ({head.decode('ascii', 'replace')}...), not a video")
@@ -83,11 +53,10 @@ def open_video(path: Path, camera: PinholeCamera | None = None) -> VideoStream:
         size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         rate_hz, n_frames = capture.get(cv2.CAP_PROP_FPS), int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         pixel = capture.get(cv2.CAP_PROP_SAR_NUM), capture.get(cv2.CAP_PROP_SAR_DEN)
-    if turned_deg % 90 or _is_mirrored(path):
-        how = f"turned by {turned_deg:.0f} degrees" if turned_deg % 90 else "mirrored"
+    if turned_deg % 90:
         raise SourceError(
-            f"{path}: its metadata says that pictures are shown {how}, and only quarter turns are applied; write them "
-            "as they are shown, such as by 'ffmpeg -i IN.mp4 OUT.mp4'"
+            f"{path}: its metadata says that pictures are shown turned by {turned_deg:.0f} degrees, and only quarter "
+            "turns are applied; write them as they are shown, such as by 'ffmpeg -i IN.mp4 OUT.mp4'"
         )
     check_size(str(path), size if all(size) else None, camera)
     notes = []
@@ -105,23 +74,11 @@ def open_video(path: Path, camera: PinholeCamera | None = None) -> VideoStream:
 
 @dataclass(frozen=True)
 class VideoStream:
-    """A video file, as :func:`open_video` opens it.
-
-    Attributes
-    ----------
-    path
-        The file. Times are those of its frames, from its start.
-    camera
-        Intrinsics; None where they are known elsewhere.
-    n_frames
-        As the container says; None if it does not.
-    notes
-        Whether its images are turned, its pixels not square, and whether it has no times.
-    """
+    """A video file, as :func:`open_video` opens it; times are those of its frames, from its start."""
 
     path: Path
-    camera: PinholeCamera | None
-    n_frames: int | None
+    camera: PinholeCamera | None  # None where it is known elsewhere
+    n_frames: int | None  # as the container says; None if it does not
     notes: tuple[Note, ...]
     live = False
 
@@ -133,8 +90,7 @@ class VideoStream:
     def __iter__(self) -> Iterator[Frame]:
         """Decode frame after frame; one that cannot be decoded comes without an image.
 
-        Fewer frames than the file claims are a warning, as an editor may have trimmed it, and a :class:`SourceError`
-        where it was certainly cut off.
+        Fewer frames than the file claims are a warning.
         """
         with _opened(self.path) as capture:
             rate_hz, last_s, done, damaged = capture.get(cv2.CAP_PROP_FPS), -np.inf, 0, 0
@@ -156,23 +112,13 @@ class VideoStream:
         if not done:
             raise SourceError(f"{self.path}: holds no frame that can be decoded as a video")
         if self.n_frames and done < _WHOLE * self.n_frames - 1:
-            ends = f"{self.path}: ends after {done} of {self.n_frames} frames"
-            if _is_cut_off(self.path):
-                raise SourceError(f"{ends}; the file was cut off")
-            warnings.warn(f"{ends}; was it cut off, or trimmed?", DatasetWarning, stacklevel=2)
+            ends = f"{self.path}: ends after {done} of {self.n_frames} frames; was it cut off, or trimmed?"
+            warnings.warn(ends, DatasetWarning, stacklevel=2)
 
 
 @dataclass(frozen=True)
 class CameraStream:
-    """A camera of this machine, until it is gone: a :class:`SourceError`.
-
-    Attributes
-    ----------
-    index
-        Which one, from 0. Times are those of the clock when a frame arrives.
-    camera
-        Intrinsics; None where they are known elsewhere.
-    """
+    """A camera of this machine by its number, until it is gone: a :class:`SourceError`; times are of the clock."""
 
     index: int
     camera: PinholeCamera | None = None
