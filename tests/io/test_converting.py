@@ -1,12 +1,14 @@
 """Conversions lose nothing in silence, and leave nothing by halves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from conformodal.geometry import PinholeCamera, Trajectory
 from conformodal.io import DatasetError, Layout, read_recording
 from conformodal.io.convert import WRITABLE, write_layout
-from conformodal.io.streams.frames import Frame, RecordingStream
+from conformodal.io.streams.frames import Frame
 from tests.helpers import contents, fill, run_ok
 from tests.io.test_layouts import PLACES, WRITERS, N
 
@@ -81,30 +83,30 @@ def test_a_failure_leaves_nothing(tmp_path, layout, error, there):
     assert len(read_recording(out, layout)) == 3
 
 
-KNOWABLE = {
-    "a layout that is read only": (lambda s: s, {"layout": Layout.KITTI}, "layout must be"),
-    "a folder that is full": (lambda s: s, {"out": "full"}, "not empty"),
-    "a file": (lambda s: s, {"out": "file"}, "is a file"),
-    "below a file": (lambda s: s, {"out": "file/out"}, "cannot be written"),
-    "below a device": (lambda s: s, {"out": "/dev/null/out"}, "cannot be written"),
+UNUSABLE = {
+    "a layout that is read only": ("b", Layout.KITTI, "layout must be"),
+    "a folder that is full": ("full", Layout.TUM, "not empty"),
+    "a file": ("file", Layout.TUM, "is a file"),
+    "below a file": ("file/out", Layout.TUM, "cannot be written"),
+    "below a device": ("/dev/null/out", Layout.TUM, "cannot be written"),
 }
 
 
-@pytest.mark.parametrize("what", KNOWABLE)
-def test_what_can_be_known_is_said_before_the_first_file(tmp_path, what):
-    change, settings, match = KNOWABLE[what]
+@pytest.mark.parametrize("what", UNUSABLE)
+def test_a_place_that_cannot_be_written_is_told_before_the_first_image(tmp_path, what):
+    out, layout, match = UNUSABLE[what]
     fill(tmp_path, {"full/mine": "mine", "file": "mine"})
-    sequence = change(read_recording(WRITERS[Layout.TUM](tmp_path / "a")))
-    given = {"layout": Layout.TUM, "poses": sequence.truth, "out": "b"} | settings
-    before, progress = [contents(tmp_path), sorted(tmp_path.rglob("*"))], []
+    before = [contents(tmp_path), sorted(tmp_path.rglob("*"))]
+    stream, progress = Failing(None), []
     with pytest.raises(DatasetError, match=match):
-        write_layout(
-            tmp_path / given["out"],
-            given["layout"],
-            RecordingStream(sequence),
-            sequence.camera,
-            given["poses"],
-            progress.append,
-        )
+        write_layout(tmp_path / out, layout, stream, stream.camera, poses_for(), progress.append)
     assert progress == []
     assert [contents(tmp_path), sorted(tmp_path.rglob("*"))] == before
+
+
+def test_poses_of_another_time_leave_nothing(tmp_path):
+    stream = Failing(None)
+    late = replace(poses_for(), timestamps_s=900 + np.arange(9.0))
+    with pytest.raises(DatasetError, match="no frame has a pose"):
+        write_layout(tmp_path / "out", Layout.TUM, stream, stream.camera, late)
+    assert not list(tmp_path.iterdir())

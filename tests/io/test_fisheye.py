@@ -85,7 +85,6 @@ def write_nerf(root, change=None):
 WRITERS = {
     "colmap": write_colmap,
     "nerf": write_nerf,
-    "nerf of other tools": lambda root: write_nerf(root, {"camera_model": "OPENCV_FISHEYE", "is_fisheye": 1}),
 }
 
 

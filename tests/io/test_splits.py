@@ -17,7 +17,7 @@ def test_parts_are_disjoint_whole_and_seeded(kind):
 
 def test_blocks_are_contiguous_and_do_not_span_recordings():
     recording = np.repeat([0, 1], [505, 495])
-    split = make_split(recording, "blocks", n_blocks=20)
+    split = make_split(recording, "blocks")
     runs = np.split(split.test, np.flatnonzero(np.diff(split.test) > 1) + 1)
     assert max(len(r) for r in runs) >= 40
     assert len(runs) <= 6
@@ -38,13 +38,13 @@ def test_less_data_leaves_the_test_part_as_it_is(kind):
 @pytest.mark.parametrize("kind", [SplitKind.INTERLEAVED, SplitKind.BLOCKS])
 def test_frames_held_out_together_are_in_the_same_part(kind):
     recording = np.repeat([0, 1], [130, 270])
-    piece = held_out_together(recording, kind, n_blocks=20)
-    split = make_split(recording, kind, seed=3, n_blocks=20)
+    piece = held_out_together(recording, kind)
+    split = make_split(recording, kind, seed=3)
     for part in (split.train, split.calibration, split.test):
         inside = np.isin(np.arange(400), part)
         assert not set(piece[inside]) & set(piece[~inside])
     assert not set(piece[recording == 0]) & set(piece[recording == 1])
-    assert len(np.unique(piece)) == (400 if kind is SplitKind.INTERLEAVED else 21)
+    assert len(np.unique(piece)) == (400 if kind is SplitKind.INTERLEAVED else 26)
 
 
 SEVEN = np.repeat([0, 1, 2, 5, 6, 7, 8], [30, 10, 20, 40, 15, 25, 60])

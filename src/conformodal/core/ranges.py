@@ -47,7 +47,6 @@ RANGES = {
     "used": Range(0, 1, "(]"),
     "novelty_level": Range(0, 1, "[)"),
     "seed": Range(0, 2**31 - 1, whole=True),
-    "n_blocks": Range(1, whole=True),
 }
 
 

@@ -81,14 +81,8 @@ def read_lines(path: Path) -> list[str]:
 def parse_lines(path: Path, parse: Callable[[str], Item], expected: str, *, by_line: bool = False) -> list[Item]:
     """What the lines of a file hold, at least one; lines that start with ``#`` are left out.
 
-    Parameters
-    ----------
-    parse
-        Turns a line into what it holds; raises ValueError or IndexError where it is damaged.
-    expected
-        What a line should be, for messages.
-    by_line
-        Whether lines belong to frames by their order. Otherwise blank lines and a header of words are left out too.
+    `parse` raises ValueError or IndexError for a damaged line; `expected` is what a line should be, for messages. Blank
+    lines and a header of words are left out too, unless lines belong to frames by their order (`by_line`).
     """
     items: list[Item] = []
     for at, line in enumerate(read_lines(path), start=1):

@@ -115,13 +115,7 @@ class Recording:
 
 
 def as_camera(sequence: Recording, camera: PinholeCamera) -> Recording:
-    """The sequence as another camera would have seen it, with a note of it.
-
-    Examples
-    --------
-    ``as_camera(read_recording(folder), model.camera)`` are images that a model can answer which was trained with
-    another camera. What this camera does not show is black.
-    """
+    """The sequence as another camera would have seen it, with a note of it; what it does not show is black."""
     notes: list[Note] = []
     images = undistort_to(list(sequence.image_paths), [sequence.camera] * len(sequence), camera, notes)
     return replace(sequence, image_paths=tuple(images), camera=camera, notes=(*sequence.notes, *notes))
@@ -133,12 +127,8 @@ def join_recordings(sequences: Sequence[Recording], given_test: Sequence[bool] |
     Recordings are numbered on. One that does not begin after the end of the one before begins 10 s after it. Images of
     other cameras than the first are brought to the first.
 
-    Parameters
-    ----------
-    sequences
-        At least one; one alone is returned as it is.
-    given_test
-        Which of them are held out for testing, as the split ``given`` does it; by default, their own lists say it.
+    One alone is returned as it is. `given_test` says which of them are held out for testing, as the split ``given``
+    does it; by default, their own lists do.
     """
     if len(sequences) == 1 and given_test is None:
         return sequences[0]
@@ -147,7 +137,8 @@ def join_recordings(sequences: Sequence[Recording], given_test: Sequence[bool] |
     for i, sequence in enumerate(sequences):
         part = sequence if sequence.camera == first.camera else as_camera(sequence, first.camera)
         notes += part.notes[len(sequence.notes) :]
-        shift_s = shift_behind(float(part.timestamps_s[0]), end_s)
+        begin_s = float(part.timestamps_s[0])
+        shift_s = 0.0 if begin_s > end_s else end_s + BETWEEN_RECORDINGS_S - begin_s
         part = replace(
             part,
             timestamps_s=part.timestamps_s + shift_s,
@@ -174,8 +165,3 @@ def join_recordings(sequences: Sequence[Recording], given_test: Sequence[bool] |
         given_test=None if all(part.given_test is None for part in parts) else np.concatenate(listed),
         notes=tuple(notes),
     )
-
-
-def shift_behind(begin_s: float, end_s: float) -> float:
-    """What is added to times that begin at `begin_s`, after a recording that ends at `end_s`."""
-    return 0.0 if begin_s > end_s else end_s + BETWEEN_RECORDINGS_S - begin_s

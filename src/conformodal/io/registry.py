@@ -6,6 +6,7 @@ own by an entry point of the group ``conformodal.layouts`` that names a :class:`
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from enum import StrEnum
 from functools import cache
@@ -107,22 +108,20 @@ def recognise(folder: Path) -> str:
         names.remove(_LAST_RESORT)
     if len(names) == 1:
         return names[0]
+    what = "is not in a layout that is read. Looked for "
+    what += "; ".join(f"{name}: {reader.sign}" for name, reader in readers().items())
     if names:
-        raise DatasetError(f"{folder}: could be {' or '.join(names)}; name its format")
-    if (folder / "metadata.yaml").is_file():
-        raise DatasetError(f"{folder}: looks like a ROS recording, expected a data set{_MADE.format(folder)}")
-    looked = "; ".join(f"{name}: {reader.sign}" for name, reader in readers().items())
-    raise DatasetError(as_utf8(f"{folder}: is not in a layout that is read. Looked for {looked}"))
+        what = f"could be {' or '.join(names)}; name its format"
+    elif (folder / "metadata.yaml").is_file():
+        what = f"looks like a ROS recording, expected a data set{_MADE.format(folder)}"
+    raise DatasetError(as_utf8(f"{folder}: {what}"))
 
 
 def _check_folder(folder: Path) -> None:
-    try:
-        if folder.is_file():
-            raise DatasetError(f"{folder}: is a file, expected a data set's folder{_MADE.format(folder)}")
-        if not folder.is_dir():
-            raise DatasetError(as_utf8(f"{folder}: no such folder"))
-    except OSError as exc:
-        raise DatasetError(as_utf8(f"{folder}: cannot be read: {exc}")) from exc
+    if os.path.isfile(folder):
+        raise DatasetError(as_utf8(f"{folder}: is a file, expected a data set's folder{_MADE.format(folder)}"))
+    if not os.path.isdir(folder):
+        raise DatasetError(as_utf8(f"{folder}: no such folder"))
 
 
 def read_recording(

@@ -21,6 +21,8 @@ from conformodal.core.words import counted
 
 from .errors import SplitError
 
+_BLOCKS = 25  # stretches that a sequence is cut into
+
 
 class SplitKind(StrEnum):
     """Names of the splits."""
@@ -57,7 +59,6 @@ def make_split(
     test: float = 0.2,
     calibration: float = 0.16,
     used: float | None = None,
-    n_blocks: int = 25,
     given_test: BoolArray | None = None,
 ) -> Split:
     """Cut frames into parts.
@@ -77,8 +78,6 @@ def make_split(
     used
         Share for training and calibration together; all but the test part by default, which is the same whatever it
         is. Where recordings are too few to leave some out, a stretch of each is taken.
-    n_blocks
-        Number of stretches that ``blocks`` cuts the sequence into, and ``given`` a lone training recording.
     given_test
         (n,) whether the data set's own lists name a frame for testing; None if it has no lists. Only ``given`` reads
         it.
@@ -86,7 +85,7 @@ def make_split(
     kind = as_member(kind, SplitKind, "split", SplitError)
     check_ranges({"test": test, "calibration": calibration, "used": used, "seed": seed}, SplitError)
     check_shares(test, calibration, used, SplitError)
-    free, listed = _pieces(recording, kind, n_blocks, given_test)
+    free, listed = _pieces(recording, kind, given_test)
     if kind is SplitKind.RECORDINGS and len(free) < 3:
         raise SplitError(f"split recordings needs at least 3 recordings, one for each part; found {len(free)}")
     rng = np.random.default_rng(seed)
@@ -119,13 +118,11 @@ def _shortened(frames: IntArray, share: float, rng: np.random.Generator) -> IntA
     return frames[start : start + n]
 
 
-def held_out_together(
-    recording: IntArray, kind: SplitKind | str, n_blocks: int = 25, given_test: BoolArray | None = None
-) -> IntArray:
+def held_out_together(recording: IntArray, kind: SplitKind | str, given_test: BoolArray | None = None) -> IntArray:
     """Number (n,) of the piece of each frame: frames of one piece get into the same part of :func:`make_split`."""
     kind = as_member(kind, SplitKind, "split", SplitError)
     piece = np.empty(len(recording), dtype=np.int64)
-    free, listed = _pieces(recording, kind, n_blocks, given_test)
+    free, listed = _pieces(recording, kind, given_test)
     for number, frames in enumerate([*free, *listed]):
         piece[frames] = number
     return piece
@@ -161,14 +158,14 @@ def with_random_calibration(split: Split, share: float) -> Split:
 
 
 def _pieces(
-    recording: IntArray, kind: SplitKind, n_blocks: int, given_test: BoolArray | None
+    recording: IntArray, kind: SplitKind, given_test: BoolArray | None
 ) -> tuple[list[IntArray], list[IntArray]]:
     """What is kept together: frames, stretches of one recording, or recordings; and what the lists name for testing."""
     frames = np.arange(len(recording))
     if kind is SplitKind.INTERLEAVED:
         return [np.array([i]) for i in frames], []
     if kind is SplitKind.BLOCKS:
-        return _stretches(frames, recording, n_blocks), []
+        return _stretches(frames, recording), []
     if kind is SplitKind.RECORDINGS:
         return _recordings(frames, recording), []
     if given_test is None:
@@ -178,14 +175,14 @@ def _pieces(
         )
     free, listed = frames[~given_test], frames[given_test]
     whole = _recordings(free, recording)
-    return whole if len(whole) > 1 else _stretches(free, recording, n_blocks), _recordings(listed, recording)
+    return whole if len(whole) > 1 else _stretches(free, recording), _recordings(listed, recording)
 
 
 def _recordings(frames: IntArray, recording: IntArray) -> list[IntArray]:
     return [frames[rows] for rows in rows_by_label(recording[frames])]
 
 
-def _stretches(frames: IntArray, recording: IntArray, n_blocks: int) -> list[IntArray]:
-    size = max(1, ceil(len(frames) / n_blocks))
+def _stretches(frames: IntArray, recording: IntArray) -> list[IntArray]:
+    size = max(1, ceil(len(frames) / _BLOCKS))
     runs = np.split(frames, np.flatnonzero((np.diff(frames) != 1) | (np.diff(recording[frames]) != 0)) + 1)
     return [run[a : a + size] for run in runs for a in range(0, len(run), size)]

@@ -18,11 +18,7 @@ from .frames import Frame, SourceError, check_size
 from .ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of, is_calibrated, key_of_info, stamp_s
 
 SUFFIXES = (".bag", ".mcap", ".db3", ".bag.active")
-_REPAIRS = {  # of recordings that were never closed
-    ".mcap": "; if it was never closed, repair it with 'mcap recover IN.mcap -o OUT.mcap'",
-    ".bag": "; if it was never closed, repair it with 'rosbag reindex'",
-    ".active": "; it was never closed: call it .bag, and repair it with 'rosbag reindex'",
-}
+_REPAIR = "; if it was never closed, repair it with 'mcap recover IN -o OUT', or 'rosbag reindex' under the name .bag"
 
 
 def is_bag(path: Path) -> bool:
@@ -83,23 +79,9 @@ class BagStream:
 
 
 def open_bag(path: Path, topic: str | None = None, camera: PinholeCamera | None = None) -> BagStream:
-    """Open a recording.
+    """Open a ROS 1 bag, a ROS 2 folder, or the file in it; `topic` is needed where several have images.
 
-    Parameters
-    ----------
-    path
-        A ROS 1 bag, a ROS 2 folder, or the file in it.
-    topic
-        Of the images; may be left out if there is only one.
-    camera
-        Of a recording without a ``CameraInfo``; its images must have this size.
-
-    Raises
-    ------
-    SourceError
-        If the recording is missing, damaged or without images that can be decoded.
-    MissingPackageError
-        If rosbags is not installed.
+    `camera` is that of a recording without a ``CameraInfo``, whose images must have its size.
     """
     if not path.exists():
         raise SourceError(f"{path}: no such recording")
@@ -173,7 +155,6 @@ def bag_reader(path: Path) -> Iterator[Any]:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
     except Exception as exc:  # damaged bytes lead it to any error
-        hint = _REPAIRS.get(path.suffix, "") if path.stat().st_size else ""
-        raise SourceError(f"{path}: cannot be opened as a ROS recording: {exc}{hint}") from exc
+        raise SourceError(f"{path}: cannot be opened as a ROS recording: {exc}{_REPAIR}") from exc
     with closing(reader):
         yield reader

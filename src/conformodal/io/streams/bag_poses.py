@@ -41,25 +41,12 @@ class _Edge(NamedTuple):
 
 
 def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: float = MAX_GAP_S) -> Trajectory:
-    """Poses ``T_world_cam`` of a recording, on the clock of its images.
+    """Poses ``T_world_cam`` of a recording, on the clock of its images, whose ``frame_id`` is the camera's frame.
 
-    Parameters
-    ----------
-    bag
-        The recording and the topic of its images, whose ``frame_id`` is the camera's frame.
-    topic
-        Of Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped; or of transforms, as ``/tf``, which
-        lead from the camera's frame to the root of their tree. Poses of another frame are moved to the camera by
-        ``/tf_static``; a message that does not name the frame is taken as the camera's.
-    notes
-        Receives which poses were used, and which were left out.
-    max_gap_s
-        Longest gap in seconds over which a transform is interpolated, where several lead to the camera.
-
-    Raises
-    ------
-    SourceError
-        If there are no poses on the topic, or nothing leads from their frame to the camera's.
+    The topic is one of Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped; or of transforms, as
+    ``/tf``, which lead from the camera's frame to the root of their tree. Poses of another frame are moved to the
+    camera by ``/tf_static``; those of a message that does not name the frame are taken as the camera's. `notes`
+    receives which poses were used; `max_gap_s` is the longest gap over which a transform is interpolated.
     """
     place = f"{bag.path}: {topic}"
     moving, static, n_unusable = _Tree(), _Tree(), 0

@@ -5,20 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from queue import Empty, Full, Queue
 from threading import Event, Thread
 from typing import Protocol
-
-import numpy as np
 
 from conformodal.core.arrays import IntArray, UInt8Array
 from conformodal.core.ranges import as_member
 from conformodal.geometry import PinholeCamera
 from conformodal.io.errors import DatasetError, ImageError
 from conformodal.io.reading import Note
-from conformodal.io.recording import Recording, join_recordings, shift_behind
+from conformodal.io.recording import Recording, join_recordings
 
 DEPTH = 4
 _WAIT_S = 0.1  # after which the thread looks whether its taker has gone
@@ -41,20 +39,8 @@ def check_size(place: str, size: tuple[int, int] | None, camera: PinholeCamera |
 class Frame:
     """A frame as a camera delivers it.
 
-    Attributes
-    ----------
-    name
-        For people and for results.
-    timestamp_s
-        Seconds.
-    image
-        (height, width, 3) RGB, or None where it could not be had; `problem` says why.
-    recording
-        Number of its recording: motion is never linked across them.
-    answer
-        False for a frame that only leads from one to the next and wants no answer.
-    index
-        Its place in a data set, -1 elsewhere.
+    The image (height, width, 3) is RGB, or None where it could not be had; `problem` says why. Motion is never linked
+    across recordings. A frame without `answer` only leads from one to the next. `index` is its place in a data set.
     """
 
     name: str
@@ -99,19 +85,10 @@ class FrameStream(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RecordingStream:
-    """Frames of a data set.
-
-    Attributes
-    ----------
-    sequence
-        The data set.
-    frames
-        Increasing indices of those that want an answer, all by default. The frames between them come too, for the
-        tracker.
-    """
+    """Frames of a data set; those that want no answer come too, for the tracker."""
 
     sequence: Recording
-    frames: IntArray | None = None
+    frames: IntArray | None = None  # increasing indices of those that want an answer; None for all
     live = False
 
     @property
@@ -152,47 +129,15 @@ class RecordingStream:
             yield Frame(name, time_s, image, problem, int(self.sequence.recording[i]), i in wanted, i)
 
 
-@dataclass(frozen=True, eq=False)
-class JoinedStream:
-    """Streams one after the other, joined as :func:`join_recordings` joins data sets; see :func:`join_streams`."""
-
-    streams: tuple[FrameStream, ...]
-    name: str
-    camera: PinholeCamera | None
-    n_frames: int | None
-    notes: tuple[Note, ...]
-    live = False
-
-    def __iter__(self) -> Iterator[Frame]:
-        """Decode frame after frame."""
-        end_s, n_recordings = -np.inf, 0
-        for stream in self.streams:
-            last_s, last_recording, shift_s = end_s, n_recordings, None
-            for frame in stream:
-                shift_s = shift_behind(frame.timestamp_s, end_s) if shift_s is None else shift_s
-                time_s, recording = frame.timestamp_s + shift_s, frame.recording + n_recordings
-                last_s, last_recording = max(last_s, time_s), max(last_recording, recording)
-                yield replace(frame, timestamp_s=time_s, recording=recording, index=-1)
-            end_s, n_recordings = last_s, last_recording + 1
-
-
 def join_streams(streams: Sequence[FrameStream]) -> FrameStream:
-    """One stream from at least one; data sets alone become one data set, with their poses."""
+    """One stream from data sets, with their poses; another source stays alone."""
     if len(streams) == 1:
         return streams[0]
-    if endless := next((stream for stream in streams if stream.live), None):
-        raise SourceError(f"{endless.name}: never ends, so it cannot be one of several sources")
     data_sets = [stream.sequence for stream in streams if isinstance(stream, RecordingStream)]
-    if len(data_sets) == len(streams):
-        return RecordingStream(join_recordings(data_sets))
-    counts = [stream.n_frames for stream in streams]
-    return JoinedStream(
-        tuple(streams),
-        name=" + ".join(stream.name for stream in streams),
-        camera=next((stream.camera for stream in streams if stream.camera is not None), None),
-        n_frames=None if None in counts else sum(count or 0 for count in counts),
-        notes=tuple(note for stream in streams for note in stream.notes),
-    )
+    if len(data_sets) < len(streams):
+        other = next(stream.name for stream in streams if not isinstance(stream, RecordingStream))
+        raise SourceError(f"{other}: is one of several sources, which must be data sets; run it alone, or convert it")
+    return RecordingStream(join_recordings(data_sets))
 
 
 class Pace(StrEnum):

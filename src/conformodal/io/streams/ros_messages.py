@@ -40,10 +40,7 @@ def stamp_s(message: Any) -> float:
 def image_of(message: Any, kind: str) -> UInt8Array:
     """The image (height, width, 3) RGB of a ``sensor_msgs/Image`` (:data:`RAW`) or ``CompressedImage`` (`COMPRESSED`).
 
-    Raises
-    ------
-    DatasetError
-        If its encoding is not read, or its bytes do not make such an image.
+    A DatasetError where its encoding is not read, or its bytes do not make such an image.
     """
     if kind == COMPRESSED:
         encoding, _, stored = message.format.lower().partition(";")
@@ -81,26 +78,10 @@ def is_calibrated(message: Any) -> bool:
 def camera_of_info(
     message: Any, place: str, topic: str = "", size: Size | None = None, notes: list[Note] | None = None
 ) -> AnyCamera:
-    """The camera of a ``sensor_msgs/CameraInfo``.
+    """The camera of a ``sensor_msgs/CameraInfo`` of ROS 1 or 2, scaled to the `size` of the images.
 
-    Parameters
-    ----------
-    message
-        Of ROS 1 or 2. Its window (``roi``) and binning are applied.
-    place
-        Where it comes from, for messages.
-    topic
-        Of the images: for rectified ones, as ``image_rect_color``, P is the camera, without distortion, as for others
-        whose K and D are zero; else K and D.
-    size
-        Of the images; the camera is scaled to it.
-    notes
-        Takes up which matrix was used, and what is unlikely.
-
-    Raises
-    ------
-    SourceError
-        If the camera is not a pinhole or fisheye with a lens that is known, or its numbers are not those of a camera.
+    Its window (``roi``) and binning are applied. For the topics of rectified images, as ``image_rect_color``, P is the
+    camera, without distortion, as for others whose K and D are zero; else K and D. `notes` takes up which was used.
     """
     notes = [] if notes is None else notes
     K, P = _field(message, "K").reshape(3, 3), _field(message, "P").reshape(3, 4)[:, :3]
