@@ -44,8 +44,8 @@ def run(
         list[str],
         typer.Argument(
             metavar="SOURCE...",
-            help="Frames: a data set's folder, a video, a ROS recording (.bag, .mcap), or camera:0. Several run one "
-            "after the other.",
+            help="Frames: a data set's folder, a video, a ROS recording (.bag, .mcap), or camera:0. Several data "
+            "sets run one after the other.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],

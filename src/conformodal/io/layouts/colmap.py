@@ -26,7 +26,6 @@ from conformodal.io.reading import (
     by_name,
     file_named,
     image_files,
-    natural_key,
     number,
     parse_lines,
     read_lines,
@@ -71,8 +70,7 @@ class _Model(NamedTuple):
 
 def model_folders(folder: Path) -> list[Path]:
     """Where in a folder models lie: COLMAP writes one for every part that it could not join, ``sparse/1`` and so on."""
-    parts = sorted((folder / "sparse").glob("*"), key=lambda place: natural_key(place.name))
-    places = [folder, folder / "sparse", *parts, folder / "text"]
+    places = [folder, folder / "sparse", *sorted((folder / "sparse").glob("*")), folder / "text"]
     return [place for place in places if any(_holds(place, suffix) for suffix in ("bin", "txt"))]
 
 
@@ -110,10 +108,8 @@ def read_colmap(folder: Path) -> FrameTable:
     usual = Counter(image.camera for image in model.images).most_common(1)[0][0]
     keys = [of_name[name].camera if name in of_name else usual for name in names]
     images = [paths[name] for name in names]
-    lenses: dict[int, AnyCamera] = {}
-    for key in dict.fromkeys(keys):
-        size = common_size([image for image, other in zip(images, keys, strict=True) if other == key])
-        lenses[key] = _lens(model.cameras[key], size, notes)
+    by_camera = {key: [image for image, other in zip(images, keys, strict=True) if other == key] for key in set(keys)}
+    lenses = {key: _lens(model.cameras[key], common_size(some), notes) for key, some in sorted(by_camera.items())}
     times, recording = times_by_folder(folder, images)
     cameras = [lenses[key] for key in keys]
     table = FrameTable(folder.name, images, times, cameras, recording=recording, notes=notes)
@@ -180,8 +176,10 @@ def _text_model(place: Path) -> _Model:
         return whole_number(key), _Camera(f"{path}, camera {key}", model, size, tuple(map(number, values)))
 
     path = place / "cameras.txt"
-    cameras = dict(parse_lines(path, camera, "'id model width height parameters'"))
-    return _Model(place / "images.txt", images, cameras)
+    cameras = parse_lines(path, camera, "'id model width height parameters'")
+    if len(dict(cameras)) < len(cameras):
+        raise DatasetError(f"{path}: gives a camera twice, expected each once")
+    return _Model(place / "images.txt", images, dict(cameras))
 
 
 def _binary_model(place: Path) -> _Model:
