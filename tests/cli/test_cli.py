@@ -98,6 +98,25 @@ def test_evaluate_agrees_with_run(results, small_world):
     assert "metrics.json" in refusal("evaluate", small_world.folder, "--truth", small_world.folder)
 
 
+def test_evaluate_doubts_a_truth_that_is_not_what_it_seems(results, tmp_path):
+    rows = np.loadtxt(results / "truth.tum")
+    none, order, late = rows.copy(), rows.copy(), rows.copy()
+    none[:, 4:] = 0, 0, 0, 1
+    order[:, 4:] = np.roll(rows[:, 4:], 1, axis=1)
+    late[:, 0] += 3.0
+    told = {}
+    for name, table in {"none": none, "order": order, "late": late}.items():
+        np.savetxt(tmp_path / f"{name}.tum", table)
+        told[name] = " ".join(run_ok("evaluate", results, "--truth", tmp_path / f"{name}.tum").stdout.split())
+        evaluated = json.loads((results / "evaluation" / "metrics.json").read_text())
+        assert len(evaluated["truth_doubts"]) >= 1
+        assert (evaluated["coverage"]["joint_coverage"] is None) == (name == "none")
+        assert ("rmse_deg" in evaluated["errors"]["online"]) == (name != "none")
+    assert "its orientations are all the same" in told["none"]
+    assert "in the order w x y z" in told["order"]
+    assert "3 s ahead" in told["late"]
+
+
 def test_run_counts_which_frames_show_no_known_place(small_world, tmp_path):
     arguments = ["run", small_world.model, small_world.folder, "--part", "test", "--out", tmp_path]
     result = run_ok(*arguments, "--novelty-level", 0.2)

@@ -265,16 +265,19 @@ def report_outcome(name: str, metrics: dict[str, Any]) -> None:
 
 def print_errors(errors: dict[str, dict[str, float]], note: str) -> None:
     """The table of errors by method."""
-    columns, width = ("rmse_m", "rmse_deg", "median_m", "median_deg"), max(map(len, METHOD_LABELS.values()))
+    columns = [name for name in ("rmse_m", "rmse_deg", "median_m", "median_deg") if name in next(iter(errors.values()))]
+    width = max(map(len, METHOD_LABELS.values()))
     report_line(f"errors, {note}")
-    report_line(f"{'method':<{width}}" + "".join(f"{column:>12}" for column in columns))
+    report_line(" │ ".join([f"{'method':<{width}}", *(f"{column:>10}" for column in columns)]))
     for name, row in errors.items():
         label = METHOD_LABELS.get(name, name)
-        report_line(f"{label:<{width}}" + "".join(f"{row[column]:>12.4f}" for column in columns))
+        report_line(" │ ".join([f"{label:<{width}}", *(f"{row[column]:>10.4f}" for column in columns)]))
 
 
 def describe_coverage(coverage: dict[str, Any]) -> str:
     """How often bounded regions hold the whole pose, beside the share of regions that are unbounded in some target."""
+    if coverage["joint_coverage"] is None:
+        return "whether regions hold the whole pose is not known: the truth has no orientations"
     n, n_bounded = coverage["n_evaluated"], coverage["n_bounded"]
     open_ended = f"{n - n_bounded} of {counted(n, 'region')} unbounded in some target"
     if not n_bounded:

@@ -12,6 +12,7 @@ import typer
 from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted, noun_for
 from conformodal.geometry import Alignment, Trajectory, align, associate, poses_at, recall, relative_errors
+from conformodal.geometry.doubts import doubt_clock, doubt_truth
 from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, straightness
 from conformodal.io import Layout
 from conformodal.io.folders import writing_in
@@ -31,6 +32,11 @@ from conformodal.pipeline.results import (
 from .answering import describe_coverage, print_errors
 from .console import print_where, report_line
 from .sources import FollowOutside, MaxGap, TimeOffset, open_sequence, read_poses
+
+_NOTE = (
+    "share of true poses in the stored intervals; whether alpha guarantees it depends on how these frames relate to "
+    "the calibration frames"
+)
 
 
 def evaluate(
@@ -59,12 +65,18 @@ def evaluate(
         errors = {
             name: row | _motion_errors(aligned[name], matched) for name, row in error_table(aligned, matched).items()
         }
-        doubt = ""
-        if alignment in (Alignment.SE3, Alignment.SIM3):
-            doubt = straightness(matched, next(iter(errors.values()))["rmse_m"])
+        doubts = doubt_truth(next(iter(aligned.values())), matched)
+        clock = doubt_clock(result.answer, true_poses)
+        reasons = [f"{truth.name}: {reason}" for reason in (*doubts.reasons, clock) if reason]
+        if doubts.positions_only:
+            errors = {name: _without_orientations(row) for name, row in errors.items()}
+        elif alignment in (Alignment.SE3, Alignment.SIM3):
+            reasons += filter(None, [straightness(matched, next(iter(errors.values()))["rmse_m"])])
         # regions lie in the world of the answer: there the truth is brought by what brings it nearest to the answer
         here = matched if alignment is Alignment.NONE else align(matched, result.answer[posed], alignment)
-        coverage = _coverage([result.records[i] for i in posed], here, result.sign_reference)
+        coverage = _coverage(
+            [result.records[i] for i in posed], here, result.sign_reference, positions_only=doubts.positions_only
+        )
         evaluation = {
             "command": "evaluate",
             "results": result.metrics.get("results"),
@@ -73,7 +85,7 @@ def evaluate(
             "seed": result.metrics.get("seed"),
             "n_matched": len(posed),
             "largest_gap_s": float(gaps[posed].max()),
-            "alignment_doubt": doubt or None,
+            "truth_doubts": reasons,
             "n_answered": len(times),
             "errors": errors,
             "coverage": coverage,
@@ -84,22 +96,32 @@ def evaluate(
         f"{len(posed)} of {counted(len(times), 'pose')} {noun_for(len(posed), 'has', 'have')} a true one; the largest "
         f"gap bridged is {gaps[posed].max():.3g} s{hint}"
     )
-    if doubt:
-        report_line(doubt, bold=True)
+    for reason in reasons:
+        report_line(reason, bold=True)
     aligned_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
     print_errors(errors, f"against {truth.name}{aligned_by}")
     report_line(describe_coverage(coverage))
     print_where(out / "evaluation")
 
 
-def _coverage(records: list[dict[str, Any]], truth: Trajectory, sign_reference: FloatArray) -> dict[str, Any]:
-    """The share of true poses in the stored regions."""
+def _without_orientations(row: dict[str, Any]) -> dict[str, Any]:
+    """Errors of positions alone; relative ones and the recall need orientations."""
+    return {name: value for name, value in row.items() if name in ("rmse_m", "median_m")}
+
+
+def _coverage(
+    records: list[dict[str, Any]], truth: Trajectory, sign_reference: FloatArray, *, positions_only: bool
+) -> dict[str, Any]:
+    """The share of true poses in the stored regions; of true positions where orientations are not known."""
+    inside = intervals_hold(records, truth, sign_reference).mean(axis=0).tolist()
+    if positions_only:
+        targets = dict(zip(TARGET_NAMES[:3], inside[:3], strict=True))
+        return {"targets": targets, "joint_coverage": None, "n_evaluated": len(records), "note": _NOTE}
     held = records_hold(records, truth, sign_reference)
     bounded = np.array([record_bounded(record) for record in records], dtype=np.bool_)
     path_coverage = None
     if all(record["path_places"] is not None for record in records):
         path_coverage = float(records_hold(records, truth, sign_reference, "path_places").mean())
-    inside = intervals_hold(records, truth, sign_reference).mean(axis=0).tolist()
     return {
         "targets": dict(zip(TARGET_NAMES, inside, strict=True)),
         "joint_coverage": float(held.mean()),
@@ -107,8 +129,7 @@ def _coverage(records: list[dict[str, Any]], truth: Trajectory, sign_reference: 
         "abstained": float((~bounded).mean()),
         **bounded_coverage(held, bounded),
         "path_coverage": path_coverage,
-        "note": "share of true poses in the stored intervals; whether alpha guarantees it depends on how these "
-        "frames relate to the calibration frames",
+        "note": _NOTE,
     }
 
 
