@@ -16,6 +16,7 @@ from conformodal.core.words import counted
 from conformodal.geometry import Trajectory
 from conformodal.geometry.metrics import MAX_GAP_S
 from conformodal.io import DatasetError, DatasetWarning, Layout, Recording, read_recording, recognise
+from conformodal.io.convention import fit_of_poses
 from conformodal.io.folders import check_writable
 from conformodal.io.pose_files import read_tum
 from conformodal.io.reading import Note, by_what
@@ -93,10 +94,21 @@ def open_sequence(path: Path, layout: Layout, *, notes: bool = True, **options: 
     return sequence
 
 
-def open_sequences(paths: Sequence[Path], layout: Layout, *, test: Path | None = None, **options: Any) -> Recording:
-    """Read data sets as one, see :func:`~conformodal.io.recording.join_recordings`; `test` is one that tests."""
+def open_sequences(
+    paths: Sequence[Path], layout: Layout, *, test: Path | None = None, trust_poses: bool = False, **options: Any
+) -> Recording:
+    """Read data sets as one, see :func:`~conformodal.io.recording.join_recordings`; `test` is one that tests.
+
+    Those whose poses do not fit their images are refused, unless the poses are trusted.
+    """
     every = [*paths, *([] if test is None else [test])]
     parts = [open_sequence(path, layout, require_poses=True, **options) for path in every]
+    for part in parts:
+        if cause := fit_of_poses(part).cause:
+            what = f"{part.name}: poses do not fit the images: {cause}"
+            if not trust_poses:
+                raise DatasetError(f"{what}; --trust-poses trains all the same")
+            report_line(what, bold=True)
     whole = join_recordings(parts, None if test is None else [path is test for path in every])
     report_notes(whole.notes[sum(len(part.notes) for part in parts) :])
     return whole

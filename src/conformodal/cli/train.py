@@ -73,6 +73,9 @@ def train(
     ] = ModelConfig.calibration,
     focal: Focal = None,
     follow_outside: FollowOutside = False,
+    trust_poses: Annotated[
+        bool, _data("--trust-poses", help="Train although the poses do not fit the images (see data check).")
+    ] = False,
     sources: Annotated[str, _model(help="Pose sources of the belief, in order, separated by commas.")] = (
         ",".join(ModelConfig.sources)
     ),
@@ -143,7 +146,9 @@ def train(
     default_block(network)  # refuses a model of transformers that is not here, before images are read
     with lock_output(out, "train", apart=[*data, *([] if held_out is None else [held_out])]):
         features = FeatureCache(cache_folder(cache))
-        sequence = open_sequences(data, layout, test=held_out, follow_outside=follow_outside, focal=focal)
+        sequence = open_sequences(
+            data, layout, test=held_out, trust_poses=trust_poses, follow_outside=follow_outside, focal=focal
+        )
         with progress_bars(out) as report:
             train_on(sequence, config, out, features=features, report=report)
     print_where(out)
