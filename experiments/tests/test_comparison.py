@@ -27,7 +27,7 @@ def world(small_world):
     sequence, model = read_recording(small_world.folder), load_model(small_world.model)
     cache = FeatureCache(small_world.cache)
     run = VisualOdometry(model).process(sequence, model.split.test[:N_FRAMES])
-    data = prepare_training_data(sequence, ModelConfig(training=TRAINING), cache)
+    data = prepare_training_data(sequence, ModelConfig(split="interleaved", training=TRAINING), cache)
     trained = TrainedMethods(model, train_plain(data, TRAINING), train_tuned(data, TRAINING))
     features = extract_features([sequence.image_paths[i] for i in run.frames], model.backbone, cache)
     return trained, run, features, sequence.require_truth()[run.frames]

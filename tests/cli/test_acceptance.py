@@ -27,15 +27,14 @@ def test_demo(tmp_path):
     # 0.94 at alpha = 0.02: a place that looks the same has no guarantee of its own, and is in the region only if one of
     # the hypotheses that count is there
     assert metrics["ambiguity"]["share_held"] >= 0.9
-    paths = metrics["path_coverage"]
-    assert paths["hindsight"]["mean_places"] < paths["online"]["mean_places"] < metrics["coverage"]["mean_places"] < 6
-    assert paths["n_reliable_and_elsewhere"] <= 0.05 * paths["n_evaluated"]
+    assert 1 < metrics["coverage"]["mean_places"] < 6
+    assert metrics["path_coverage"] is None  # random frames calibrate
     assert "the same view: the region holds" in (tmp_path / "report.html").read_text()
 
 
 def test_redkitchen_interleaved(redkitchen, tmp_path):
     cache = tmp_path / "cache"
-    run_ok("train", redkitchen, "--out", tmp_path / "model", "--cache", cache)
+    run_ok("train", redkitchen, "--out", tmp_path / "model", "--cache", cache, "--split", "interleaved")
     run_ok("run", tmp_path / "model", redkitchen, "--out", tmp_path / "out", "--part", "test")
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["n_answered"] == 200

@@ -7,7 +7,6 @@ from scipy.stats import norm
 
 from conformodal.conformal import QuantileBins
 from conformodal.features.extract import FeatureCache
-from conformodal.geometry import Trajectory
 from conformodal.localizer.filter import LAG
 from conformodal.localizer.regions import EvidenceType, Support
 from conformodal.localizer.sources import registry
@@ -153,12 +152,10 @@ class ToldBeliefs:
         return self
 
 
-@pytest.mark.parametrize("by_stretch", [False, True])
-def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monkeypatch):
+def test_as_many_frames_of_each_stretch_calibrate_at_a_lag(monkeypatch):
     lengths = (1000, 100, 40, 14, 6)
     unit, n = np.repeat(np.arange(5), lengths), sum(lengths)
     score = np.arange(n) / n  # tells the frame
-    quats = np.tile([1.0, 0, 0, 0], (n, 1))
     posterior, windows = SimpleNamespace(lost=False), []
 
     class Seen(SimpleNamespace):
@@ -174,25 +171,22 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
         "filter_posteriors": lambda seen, prior: [posterior] * len(seen.candidates),
         "hindsight_posteriors": lambda seen, prior, forward: forward,
         "Window": window,
-        "choose_places": lambda its, t, prior: (Trajectory(t, np.zeros((len(t), 3)), quats[: len(t)]), np.ones(len(t))),
-        "same_place": lambda *its: np.ones(len(its[1]), dtype=bool),
         "score_beliefs": lambda rule, localizer, beliefs, targets: np.repeat(score[beliefs.rows, None], 7, axis=1),
     }
     for name, stub in stubs.items():
         monkeypatch.setattr(calibrating, name, stub)
-    truth = Trajectory(np.arange(n), np.zeros((n, 3)), quats)
-    sequence = SimpleNamespace(recording=unit, timestamps_s=truth.timestamps_s, require_truth=lambda: truth)
+    sequence = SimpleNamespace(recording=unit, timestamps_s=np.arange(n))
     localizer = SimpleNamespace(cells=BINS, supports=lambda its: [SimpleNamespace(out_of_range=False)] * len(its.rows))
-    groups, every = unit if by_stretch else None, np.ones(n, dtype=bool)
+    every = np.ones(n, dtype=bool)
     rules = SimpleNamespace(
-        overall=SimpleNamespace(alpha=0.1, units_=groups, bins=BINS),
+        overall=SimpleNamespace(alpha=0.1, units_=unit, bins=BINS),
         known=every,
         recognised=every,
     )
-    folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), groups, unit)
+    folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), unit, unit)
     its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
     motions = dict.fromkeys(range(n))
-    paths = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions).rules
+    paths = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions)
     rule, lag = paths["lagged"], LAG
     assert set(windows) == {(lag + 1, lag + 1)}
     frames = np.rint(rule.scores_[:, 0] * n).astype(int)
@@ -200,11 +194,7 @@ def test_frames_that_calibrate_at_a_lag_weigh_as_all_frames_do(by_stretch, monke
     followers = np.cumsum(lengths)[unit] - 1 - np.arange(n)
     assert (followers[frames] >= lag).all()
     counts = np.bincount(unit[frames], minlength=5)
-    if by_stretch:
-        assert counts.tolist() == [40, 40, 30, 4, 0]  # all that have followers, or 200 / 5
-        np.testing.assert_array_equal(rule.units_, unit[frames])
-        assert float(rule.weight) == pytest.approx((1 / counts[unit[frames]]).sum())
-    else:
-        assert counts.tolist() == [173, 18, 7, 3, 0]  # 200 in proportion to the lengths
-        assert rule.units_ is None
+    assert counts.tolist() == [40, 40, 30, 4, 0]  # all that have followers, or 200 / 5
+    np.testing.assert_array_equal(rule.units_, unit[frames])
+    assert float(rule.weight) == pytest.approx((1 / counts[unit[frames]]).sum())
     assert len(paths["online"].scores_) == len(paths["hindsight"].scores_) == n

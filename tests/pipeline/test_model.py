@@ -175,8 +175,9 @@ def test_what_is_missing_in_a_record_is_named(model, tmp_path):
 
 @pytest.mark.parametrize(("joint", "score"), [("max", "density"), ("none", "lac")])
 def test_every_joint_and_score_survives_saving_and_reasoning(sequence, small_world, tmp_path, joint, score):
-    data = prepare_training_data(sequence, ModelConfig(), FeatureCache(small_world.cache))
-    config = ModelConfig(alpha=0.2, joint=joint, score=score, sources=("head",), training=TrainingConfig(epochs=2))
+    data = prepare_training_data(sequence, ModelConfig(split="interleaved"), FeatureCache(small_world.cache))
+    quick = TrainingConfig(epochs=2)
+    config = ModelConfig(split="interleaved", alpha=0.2, joint=joint, score=score, sources=("head",), training=quick)
     trained = train_model(data, config)
     save_model(trained, tmp_path)
     back = load_model(tmp_path)

@@ -8,17 +8,20 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from conformodal.features.extract import FeatureCache
+from conformodal.features.settings import TrainingConfig
 from conformodal.io import ImageError, read_recording
 from conformodal.io.streams.frames import Frame, RecordingStream, SourceError
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.filter import filter_posteriors
-from conformodal.localizer.observations import choose_places, same_place
+from conformodal.localizer.observations import choose_places
 from conformodal.localizer.regions import EvidenceType
-from conformodal.pipeline.calibrate import MOST_RELIABLE
+from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.results import ResultsWriter, read_region_records, read_trajectories, records_hold
 from conformodal.pipeline.store import load_model
 from conformodal.pipeline.stream import StreamRunner
+from conformodal.pipeline.train import train_model
 from conformodal.tracking.motions import measure_motions
 from tests.helpers import run_ok
 
@@ -62,50 +65,52 @@ def test_a_run_on_a_recording_and_a_stream_of_its_frames_write_equal_bytes(world
     assert 5 < len(records) == (model.split.test < model.split.test[0] + 60).sum()
     assert [r["frame"] for r in records] == [sequence.image_paths[i].name for i in answered]
     # what is on disk contains the poses that the regions contain
-    sign, truth, table = model.sign_reference, runner.truth, runner.path_coverage
+    sign, truth = model.sign_reference, runner.truth
     np.testing.assert_array_equal(records_hold(records, truth, sign), runner.statistics.held)
-    assert table["online"]["coverage"] == pytest.approx(records_hold(records, truth, sign, "path_places").mean())
-    assert table["n_reliable_and_elsewhere"] <= table["n_reliable_and_missed"] <= table["n_reliable"]
+    # random frames calibrate: their gaps are those of no camera, so there are no regions from several frames
+    assert runner.path_coverage is None
+    assert {record["path_places"] for record in records} == {None}
 
 
-def test_regions_after_motion_hold_the_calibration_frames_whose_scores_they_were_calibrated_on(world):
-    """Sources of a model that frames calibrate have not seen these: run as one stream, they are what calibrated it."""
-    sequence, model = world
-    frames, odometry = model.split.calibration, VisualOdometry(model)
-    targets, truth = pose_targets(sequence.truth[frames], model.sign_reference), sequence.truth[frames]
-    run = odometry.process(sequence, frames)
-    assert run.path_regions.keys() == {"online", "hindsight"}
-    for path, regions in run.path_regions.items():
-        rule = model.path_rules[path]
-        held, lost = regions.contains(targets, joint=True), regions.unbounded.all(axis=1)
-        expected = (rule.scores_ <= rule.thresholds_).all(axis=1)
-        assert np.mean(held[~lost] == expected) > 0.97, path
-        assert expected.sum() >= min(rule.rank, len(expected)), path
-    wrong = ~same_place(run.trajectories["online"], truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
-    wrong &= ~run.path_regions["online"].contains(targets, joint=True)
-    certainty = np.array([estimate.places[0].probability for estimate in run.estimates])
-    n_sure = np.sum(wrong & (certainty >= model.reliable_p))
-    assert n_sure <= max(0.01, 1 / (len(frames) + 1)) * (len(frames) + 1) or model.reliable_p == MOST_RELIABLE
-    # poses when their frame comes depend on no later frame
-    for cut in (5, 12, 20):
+@pytest.fixture(scope="module")
+def by_stretch(small_world):
+    """A model that stretches calibrate, and a test stretch."""
+    sequence = read_recording(small_world.folder)
+    config = ModelConfig(alpha=0.2, sources=("head",), training=TrainingConfig(epochs=15))
+    model = train_model(sequence, config, cache=FeatureCache(small_world.cache))
+    test = model.split.test
+    return sequence, model, np.split(test, np.flatnonzero(np.diff(test) > 1) + 1)[0]
+
+
+def test_regions_from_several_frames_hold_new_stretches_at_any_rate(by_stretch):
+    sequence, model, _ = by_stretch
+    targets = pose_targets(sequence.truth, model.sign_reference)
+    for step in (1, 3):  # the recording's own rate, and a third of it
+        frames = model.split.test[::step]
+        run = VisualOdometry(model).process(sequence, frames)
+        assert run.path_regions.keys() == {"online", "hindsight"}
+        for regions in run.path_regions.values():
+            assert regions.contains(targets[frames], joint=True).mean() > 0.75
+        # no reliable pose lies outside of its region, or beside another place
+        vouched = run.path_regions["online"][run.reliable]
+        assert (vouched.n_places == 1).all()
+        poses = pose_targets(run.trajectories["online"][run.reliable], model.sign_reference)
+        assert vouched.contains(poses, joint=True).all()
+    run = VisualOdometry(model).process(sequence, model.split.test[:25])
+    for cut in (5, 12, 20):  # poses when their frame comes depend on no later frame
         observations = run.observations(np.arange(cut))
-        posteriors = filter_posteriors(observations, model.prior)
-        path, _ = choose_places(posteriors, observations.timestamps_s, model.prior)
+        path, _ = choose_places(filter_posteriors(observations, model.prior), observations.timestamps_s, model.prior)
         online = run.trajectories["online"].positions_xyz[:cut]
         np.testing.assert_array_equal(path.positions_xyz, online, err_msg=f"{cut}")
 
 
-def test_a_stream_looks_back_at_regions_that_hold_the_frames_which_calibrated_them(world):
-    sequence, model = world
-    frames, odometry = model.split.calibration, VisualOdometry(model)
-    now, back = [], []
-    for frame in RecordingStream(sequence, frames):
-        if frame.answer:
-            now.append(odometry.step(frame.image, frame.timestamp_s))
-            back.append(odometry.lagged())
-        else:
-            odometry.track_only(frame.image, frame.timestamp_s)
-    lag, rule = odometry.lag, model.path_rules["lagged"]
+def test_a_stream_looks_back(by_stretch):
+    sequence, model, frames = by_stretch
+    odometry, now, back = VisualOdometry(model), [], []
+    for i in frames.tolist():
+        now.append(odometry.step(sequence.image(i), sequence.timestamps_s[i]))
+        back.append(odometry.lagged())
+    lag = odometry.lag
     assert back[:lag] == [None] * lag
     lagged = back[lag:]
     assert [one.timestamp_s for one in lagged] == [one.timestamp_s for one in now[:-lag]]
@@ -114,12 +119,8 @@ def test_a_stream_looks_back_at_regions_that_hold_the_frames_which_calibrated_th
         assert lagged[k].region is now[k].region
     assert pickle.loads(pickle.dumps(now[-1])).timestamp_s == now[-1].timestamp_s
     targets = pose_targets(sequence.truth[frames[:-lag]], model.sign_reference)
-    held = np.array([e.path_region.contains(t[None], joint=True)[0] for e, t in zip(lagged, targets, strict=True)])
-    lost = np.array([estimate.path_region.unbounded.all() for estimate in lagged])
-    expected = (rule.scores_ <= rule.thresholds_).all(axis=1)
-    assert len(expected) == (~lost).sum()  # so few that all were drawn
-    assert expected.sum() >= min(rule.rank, len(expected))
-    assert np.mean(held[~lost] == expected) > 0.97
+    held = [e.path_region.contains(t[None], joint=True)[0] for e, t in zip(lagged, targets, strict=True)]
+    assert np.mean(held) > 0.75
     odometry.reset()
     assert odometry.lagged() is None
     other, lagged = VisualOdometry(model, lag=2), []

@@ -19,7 +19,7 @@ from conformodal.corridor.world import CorridorWorld
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory
-from conformodal.io import Recording, read_recording
+from conformodal.io import Recording, SplitKind, read_recording
 from conformodal.io.pose_files import write_tum
 from conformodal.io.streams.frames import Frame, RecordingStream
 from conformodal.localizer.regions import PoseRegions
@@ -115,7 +115,7 @@ def _config(method: Method, seed: int) -> ModelConfig:
     training = replace(TRAINING, seed=seed)
     if method is Method.PAPER:
         return ModelConfig.paper(alpha=_PAPERS_ALPHA, seed=seed, training=training)
-    return ModelConfig(alpha=ALPHA, seed=seed, training=training)
+    return ModelConfig(split=SplitKind.INTERLEAVED, alpha=ALPHA, seed=seed, training=training)
 
 
 def _corridor(folder: Path, seed: int, report: StageProgress) -> Recording:

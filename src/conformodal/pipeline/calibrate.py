@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
-from fractions import Fraction
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import cast
 
 import numpy as np
 
-from conformodal.conformal import QuantileBins, SplitConformal, hierarchical_quantile
+from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.calibrators.base import Joint
 from conformodal.conformal.checks import as_alpha
 from conformodal.conformal.scores import is_per_unit
@@ -27,19 +26,16 @@ from conformodal.io import Disturbance, Recording
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import LAG, Window, filter_posteriors, hindsight_posteriors
 from conformodal.localizer.localizer import Beliefs, Localizer, belief_cells
-from conformodal.localizer.observations import MotionPrior, Observations, Posterior, choose_places, same_place
+from conformodal.localizer.observations import MotionPrior, Observations, Posterior
 from conformodal.localizer.regions import EvidenceType, PlaceNovelty, RegionRules, part_of, pose_scores
 from conformodal.localizer.sources.registry import SourceData
 from conformodal.tracking.motions import frame_features
 
 from .config import ModelConfig, OdometryError
-from .model import HINDSIGHT, LAGGED, ONLINE, PATHS, RELIABLE, SourceComparison, path_rule
+from .model import HINDSIGHT, LAGGED, ONLINE, PATHS, SourceComparison, path_rule
 from .training_data import Folds
 
 _MOST_COMPARED = 120  # each is answered twice
-# The probability from which a pose counts as reliable is raised, at most to this, until held-out frames with a wrong
-# place that is so probable have at most this share
-MOST_RELIABLE, _SURE_AND_WRONG = 0.99, 0.01
 _LAGGED_FRAMES = 200  # held-out frames that calibrate regions at the lag, about: each takes as many steps as the lag
 _MOST_DISTURBED, _DISTURBED_SEED = 200, 0  # calibration frames, and the seed of kinds and strengths
 
@@ -58,14 +54,6 @@ class CalibratedRegions:
     novelty: PlaceNovelty | None
     beliefs: list[Beliefs]
     quality: QualityRange | None = None  # of the images that the sources know, if disturbed ones are calibrated
-
-
-@dataclass(frozen=True, eq=False)
-class CalibratedPaths:
-    """What held-out frames calibrate that are run as streams."""
-
-    rules: dict[str, SplitConformal] = field(default_factory=dict)  # by path: posterior to region
-    reliable_p: float = RELIABLE  # a pose counts as reliable from this probability of its place
 
 
 def calibrate_regions(
@@ -235,25 +223,22 @@ def calibrate_paths(
     calibrated: CalibratedRegions,
     prior: MotionPrior,
     motions: dict[int, RelativeMotion | None],
-) -> CalibratedPaths:
-    """Thresholds of regions from posteriors: held-out frames are run as streams, one per fold, unit and recording.
-    `motions` are those between held-out frames.
+) -> dict[str, SplitConformal]:
+    """Rules of regions from posteriors, by path, where stretches or recordings calibrate: each is run as a stream, at
+    the recording's rate, by sources that had not seen it. `motions` are those between held-out frames.
 
-    Also the probability of a place from which its pose counts as reliable: a frame with a wrong place that is at least
-    as probable, and whose region misses the pose, is as rare as the settings of the filter ask, or as so few units can
-    show.
+    None where single frames calibrate: a stream of these has gaps that no stream of a camera has, and posteriors that
+    rest on more images are sharper. Regions at the lag of a stream are calibrated on some frames of each stretch, drawn
+    at random among those that so many follow.
 
-    Regions at the lag of a stream are calibrated on some frames of each, drawn at random among those that so many
-    follow: as many of each stretch, or in proportion to their number where frames calibrate.
-
-    Where stretches calibrate, this is exact for a new stretch that is run from its first frame. Where frames do, the
-    streams of calibration and test frames differ in their gaps, so the guarantee is approximate.
+    The guarantee, for a random frame of a new stretch that is run from its first frame, is approximate: the motion
+    prior and the cells know the held-out poses.
     """
-    rules, truth, n = calibrated.rules, sequence.require_truth(), len(folds.held_out)
-    units = sequence.recording if folds.units is None else folds.units
+    if folds.units is None:
+        return {}
+    rules, units = calibrated.rules, folds.units
     known = rules.known if rules.recognised is None else rules.known | rules.recognised
     scored: dict[str, list[_Scored]] = {path: [] for path in PATHS}
-    wrong = np.full(n, -np.inf)  # probabilities of wrong places online
     start, rng = 0, np.random.default_rng(0)
     n_streams = sum(len(np.unique(units[fold.held_out])) for fold in folds.folds)
     for fold, localizer, beliefs in zip(folds.folds, localizers, calibrated.beliefs, strict=True):
@@ -270,14 +255,10 @@ def calibrate_paths(
             forward = filter_posteriors(observations, prior)
             posteriors[ONLINE] |= dict(zip(rows, forward, strict=True))
             posteriors[HINDSIGHT] |= dict(zip(rows, hindsight_posteriors(observations, prior, forward), strict=True))
-            drawn = _LAGGED_FRAMES / n_streams if folds.units is not None else _LAGGED_FRAMES * len(at) / n
-            for k in rng.permutation(max(len(at) - LAG, 0))[: math.ceil(drawn)].tolist():
+            most = math.ceil(_LAGGED_FRAMES / n_streams)
+            for k in rng.permutation(max(len(at) - LAG, 0))[:most].tolist():
                 window = slice(k, k + LAG + 1)
                 posteriors[LAGGED][rows[k]] = Window(observations.part(window), forward[window]).first(prior)
-            best, probability = choose_places(forward, observations.timestamps_s, prior)
-            true = truth[frames]
-            right = same_place(best, true.positions_xyz, true.orientations_quat_wxyz, prior)
-            wrong[start + at] = np.where(right, -np.inf, probability)
             raise_if_cancelled()
         rule = path_rule(localizer.cells, rules.overall.alpha)
         for path, by_row in posteriors.items():
@@ -289,31 +270,14 @@ def calibrate_paths(
                 scores = score_beliefs(rule, localizer, after, targets[held_out[which]])
                 scored[path].append(_Scored(scores, lost, start + which))
         start += len(held_out)
-    return _path_thresholds(rules.overall, scored, wrong)
+    return {path: _path_rule(rules.overall, parts, units[folds.held_out]) for path, parts in scored.items() if parts}
 
 
-def _path_thresholds(overall: SplitConformal, scored: dict[str, list[_Scored]], wrong: FloatArray) -> CalibratedPaths:
-    """From the scores of the folds by path, and the probabilities (n,) of wrong places online."""
-    labels, rules, reliable_p = overall.units_, {}, RELIABLE
-    for path, parts in scored.items():
-        if not parts:
-            continue
-        every = _Scored.concatenate(parts)
-        units = None if labels is None else labels[every.rows]
-        rule = path_rule(overall.bins, overall.alpha).calibrate_scores(every.scores, units)
-        rules[path] = part_of(rule, ~every.lost)
-        if path == ONLINE:
-            held = (every.scores <= rules[path].thresholds_).all(axis=1) | every.lost
-            reliable_p = _reliable_p(np.where(held, -np.inf, wrong), labels)
-    return CalibratedPaths(rules, reliable_p)
-
-
-def _reliable_p(wrong: FloatArray, labels: IntArray | None) -> float:
-    """From the probabilities (n,) of places of held-out frames: of wrong ones whose region misses, -inf of others."""
-    unit = np.unique(np.arange(len(wrong)) if labels is None else labels, return_inverse=True)[1]
-    streams = [wrong[unit == k] for k in range(unit.max() + 1)]
-    least = hierarchical_quantile(streams, max(Fraction(_SURE_AND_WRONG), Fraction(1, len(streams) + 1)))
-    return min(max(RELIABLE, float(np.nextafter(least, 2.0))), MOST_RELIABLE)
+def _path_rule(overall: SplitConformal, parts: list[_Scored], units: IntArray) -> SplitConformal:
+    """From the scores of the folds; `units` are those of all held-out frames."""
+    every = _Scored.concatenate(parts)
+    rule = path_rule(overall.bins, overall.alpha).calibrate_scores(every.scores, units[every.rows])
+    return part_of(rule, ~every.lost)
 
 
 def compare_sources(

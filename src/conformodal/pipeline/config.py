@@ -46,7 +46,7 @@ class ModelConfig:
     """Settings of a pose model; one that cannot be used is refused before any frame is read."""
 
     method: Method = Method.CONFORMODAL  # this project's system, or the paper's: see :meth:`paper`
-    split: SplitKind = SplitKind.INTERLEAVED
+    split: SplitKind = SplitKind.BLOCKS
     n_bins: int = 50  # per target (K)
     margin: float = 0.02  # share of the range by which bins reach beyond the training poses
     sigma_bins: float = 0.7  # width of the order-aware labels, in bins; 0 for the paper's one-hot labels
@@ -111,6 +111,7 @@ _CHOICES: dict[str, type[StrEnum]] = {
 }
 # Settings that define the paper's system.
 _PAPER: dict[str, Any] = {
+    "split": SplitKind.INTERLEAVED,
     "margin": 0.0,
     "sigma_bins": 0.0,
     "score": "lac",

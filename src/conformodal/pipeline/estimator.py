@@ -22,7 +22,7 @@ from conformodal.geometry import PinholeCamera, RelativeMotion, Trajectory
 from conformodal.io import Recording
 from conformodal.io.decoding import grey_image
 from conformodal.io.streams.frames import RecordingStream, prefetch
-from conformodal.localizer.candidates import interval_candidates, interval_runs
+from conformodal.localizer.candidates import interval_candidates, interval_runs, pose_targets
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import LAG, PoseFilter, Window
 from conformodal.localizer.greedy import Greedy
@@ -32,7 +32,8 @@ from conformodal.tracking.tracker import EssentialFrontEnd, FrontEnd, MotionFron
 
 from .config import Method, OdometryError
 from .estimates import Estimate, OdometryRun
-from .model import HINDSIGHT, LAGGED, METHODS, ONLINE, PAPERS_METHOD, Localization, PoseModel
+from .expected_input import InputWatch
+from .model import HINDSIGHT, LAGGED, METHODS, ONLINE, PAPERS_METHOD, RELIABLE, Localization, PoseModel
 from .store import load_model
 from .stream import StreamRunner, as_trajectory
 
@@ -44,6 +45,7 @@ class Odometry(ABC):
     answer: str  # the method whose trajectory is the answer
     whole_paths: bool  # whether better answers than those of a stream follow, from whole paths
     _front_end: FrontEnd
+    _watch: InputWatch
     _last_s: float | None  # of the last frame, usable or not
     _usable_s: float | None  # of the last usable one
 
@@ -61,19 +63,27 @@ class Odometry(ABC):
         Raises
         ------
         OdometryError
-            If the timestamp is not finite, or not later than that of the frame before, usable or not; nothing has
-            changed then.
+            If the timestamp is not finite, or not later than that of the frame before, usable or not, or if the first
+            ten steps are far too long for seconds; nothing has changed then.
         """
-        timestamp_s = _as_time(timestamp_s, self._last_s)
+        timestamp_s = self._next_time(timestamp_s)
         usable = _as_image(image, self.model.camera)
         if isinstance(usable, str):
             estimate = Estimate(timestamp_s, None, None, None, None, False, usable)
         else:
+            self._watch.check_colours(usable)
             with one_blas_thread():
                 estimate = self._answer(usable, timestamp_s)
             self._usable_s = timestamp_s
         self._last_s = timestamp_s
         return estimate
+
+    def _next_time(self, timestamp_s: Any) -> float:
+        """A timestamp in seconds, later than the last one."""
+        seconds = _as_time(timestamp_s, self._last_s)
+        if self._last_s is not None:
+            self._watch.check_step(seconds - self._last_s)
+        return seconds
 
     @abstractmethod
     def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
@@ -81,7 +91,7 @@ class Odometry(ABC):
 
     def track_only(self, image: npt.ArrayLike | None, timestamp_s: float) -> None:
         """Show a frame of the stream that wants no answer: corners are followed through it, if it is an image."""
-        timestamp_s = _as_time(timestamp_s, self._last_s)
+        timestamp_s = self._next_time(timestamp_s)
         usable = _as_image(image, self.model.camera)
         if not isinstance(usable, str):
             self._front_end.track_only(usable)
@@ -168,6 +178,7 @@ class VisualOdometry(Odometry):
     def reset(self) -> None:
         """Forget the stream so far."""
         self._front_end = MotionFrontEnd(self.model.camera)
+        self._watch = InputWatch(self.model.expected_input)
         self._filter.reset()
         self._recent.clear()
         self._last_s = self._usable_s = None
@@ -224,13 +235,16 @@ class VisualOdometry(Odometry):
         problems = [] if motion is None or motion.reliable else [str(motion.status)]
         if evidence is EvidenceType.UNKNOWN:
             problems.append(f"like no place that is known (p = {known_p:.2g})")
-        if best.probability < self.model.reliable_p:
+        if best.probability < RELIABLE:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
+        pose = Trajectory(np.array([timestamp_s]), best.position_xyz[None], best.orientation_quat_wxyz[None])
+        path_region = self.model.path_regions(localization.beliefs, [posterior], path)
+        problems += self._doubts(localization.regions if path_region is None else path_region, pose)
         return Estimate(
             timestamp_s=timestamp_s,
-            pose=Trajectory(np.array([timestamp_s]), best.position_xyz[None], best.orientation_quat_wxyz[None]),
+            pose=pose,
             region=localization.regions,
-            path_region=self.model.path_regions(localization.beliefs, [posterior], path),
+            path_region=path_region,
             candidates=localization.candidates[0],
             relative_motion=motion,
             reliable=not problems,
@@ -244,6 +258,15 @@ class VisualOdometry(Odometry):
             posterior=posterior,
             places=places,
         )
+
+    def _doubts(self, region: PoseRegions, pose: Trajectory) -> list[str]:
+        """Why a calibrated region does not vouch for a pose."""
+        if region.unbounded.any():
+            return ["the region is unbounded"]
+        if region.n_places[0] > 1:
+            return [f"the region names {region.n_places[0]} places"]
+        inside = region.contains(pose_targets(pose, self.model.sign_reference), joint=True)[0]
+        return [] if inside else ["the pose lies outside of its region"]
 
 
 def _revised(window: Window, prior: MotionPrior) -> Trajectory:
@@ -271,6 +294,7 @@ class PaperOdometry(Odometry):
     def reset(self) -> None:
         """Forget the stream so far."""
         self._front_end = EssentialFrontEnd(self.model.camera)
+        self._watch = InputWatch(self.model.expected_input)
         self._path = Greedy()
         self._last_s = self._usable_s = None
 

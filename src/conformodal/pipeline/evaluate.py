@@ -39,13 +39,10 @@ _BROKEN = (
     "These are not the frames, or not all of them, that were held out at random together with the calibration frames: "
     "coverage here is an observation, and no guarantee applies."
 )
-_PATHS_BY_STRETCH = (
+_PATHS = (
     "Regions from posteriors are calibrated on held-out stretches (or recordings), each run as a stream by sources "
-    "that had not seen it; the guarantee is about a random frame of a new stretch that is run so."
-)
-_PATHS_BY_FRAME = (
-    "Regions from posteriors are calibrated on the calibration frames, run as a stream with gaps. Other frames make "
-    "other gaps, so their guarantee is approximate."
+    "that had not seen it. The guarantee is about a random frame of a new stretch that is run so; it is approximate, "
+    "as the motion prior knows the held-out poses."
 )
 
 
@@ -164,7 +161,7 @@ def path_coverage_table(
         wrong = reliable & ~same_place(online, truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
         counts = {"n_reliable": reliable, "n_reliable_and_missed": missed, "n_reliable_and_elsewhere": missed & wrong}
         table |= {name: int(which.sum()) for name, which in counts.items()} | {"n_evaluated": len(reliable)}
-    table["assumption"] = _PATHS_BY_FRAME if model.rules.overall.units_ is None else _PATHS_BY_STRETCH
+    table["assumption"] = _PATHS
     return table
 
 

@@ -35,6 +35,7 @@ from conformodal.localizer.regions import (
 from conformodal.localizer.sources.landmarks import LandmarkSource
 
 from .config import Method, OdometryError
+from .expected_input import ExpectedInput
 from .identity import FrameIdentities
 
 # What posteriors rest on: the frames up to each (online), also as many after it as the lag (lagged), or all frames of
@@ -134,13 +135,13 @@ class PoseModel:
     camera: PinholeCamera  # of the training images
     split: Split  # training, calibration and test frames
     known_frames: FrameIdentities  # of all frames of the training data, in the order of `split`
+    expected_input: ExpectedInput
     # settings except alpha and the novelty level, which can change; see :attr:`settings`
     configuration: dict[str, Any] = field(default_factory=dict)
     radius: PoseRadius | None = None  # of the chosen pose; None before it is calibrated
     comparison: SourceComparison | None = None  # where stretches calibrate
     # posterior to region: the calibration of each of :data:`PATHS`; empty where no motion was measured
     path_rules: dict[str, SplitConformal] = field(default_factory=dict)
-    reliable_p: float = RELIABLE  # a pose counts as reliable from this probability of its place
     # of the images that the sources know; images beyond are disturbed. None where disturbed ones are not calibrated
     quality: QualityRange | None = None
 

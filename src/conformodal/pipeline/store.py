@@ -34,10 +34,11 @@ from conformodal.localizer.radius import PoseRadius
 from conformodal.localizer.regions import PlaceNovelty, RegionRules
 from conformodal.localizer.sources.registry import SourceState, find_source
 
+from .expected_input import ExpectedInput
 from .identity import FrameIdentities
 from .model import PATHS, PoseModel, SourceComparison, path_rule
 
-FORMAT = "conformodal-model-20"
+FORMAT = "conformodal-model-21"
 _JSON = "model.json"
 _FILES = {"weights": "weights-{}.safetensors", "network": "network-{}.onnx"}  # with the first digits of their digests
 # what reading damaged files raises: ValueError is every error of this package too, RuntimeError JSON without end
@@ -54,6 +55,7 @@ _ARRAYS = {
     "novelty.references": ("f", 2), "novelty.units": ("i", 1),
     "matched.scores": ("f", 1), "matched.units": ("i", 1), "disturbed.novelty": ("f", 1), "disturbed.units": ("i", 1),
     "disturbed.scores": ("f", 2), "disturbed.known_p": ("f", 1), "quality": ("f", 2),
+    "colours": ("f", 1),
 }  # fmt: skip
 
 
@@ -78,11 +80,11 @@ def save_model(model: PoseModel, folder: Path) -> None:
             "score": model.calibration.score_.name,
             "joint": model.calibration.joint,
             "novelty_level": model.rules.level,
-            "reliable_p": model.reliable_p,
         },
         "prior": _finite(asdict(model.prior)),
         "camera": asdict(model.camera),
         "split": {"kind": str(model.split.kind), "seed": model.split.seed},
+        "step_s": model.expected_input.step_s,
         "configuration": model.configuration,
         "radius": None if model.radius is None else _finite(asdict(model.radius)),
         "comparison": None if model.comparison is None else asdict(model.comparison),
@@ -122,6 +124,7 @@ def _arrays(model: PoseModel) -> dict[str, AnyArray | None]:
         "sign_reference": model.sign_reference,
         "frames.files": model.known_frames.files,
         "frames.poses": model.known_frames.poses,
+        "colours": model.expected_input.colours,
         "calibration.scores": overall.scores_,
         "calibration.known_p": rules.known_p,
         "calibration.recognised": rules.recognised,
@@ -236,11 +239,11 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path)
         camera=PinholeCamera(**record["camera"]),
         split=Split(split["kind"], split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
         known_frames=FrameIdentities(arrays["frames.files"], arrays["frames.poses"]),
+        expected_input=ExpectedInput(float(record["step_s"]), arrays["colours"]),
         configuration=record["configuration"],
         radius=None if radius is None else PoseRadius(**radius),
         comparison=None if record["comparison"] is None else SourceComparison(**record["comparison"]),
         path_rules={path: _path_rule(rules, arrays, path) for path in PATHS if f"path.{path}.scores" in arrays},
-        reliable_p=float(stated["reliable_p"]),
         quality=QualityRange(*arrays["quality"]) if "quality" in arrays else None,
     )
 

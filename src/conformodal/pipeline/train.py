@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from conformodal.conformal import SplitConformal
 from conformodal.conformal.checks import Alpha
 from conformodal.core.arrays import FloatArray, IntArray, rows_by_label
 from conformodal.core.extras import require_extra
@@ -26,7 +27,6 @@ from conformodal.localizer.regions import PlaceNovelty
 from conformodal.tracking.motions import measure_motions
 
 from .calibrate import (
-    CalibratedPaths,
     CalibratedRegions,
     calibrate_disturbed,
     calibrate_paths,
@@ -37,6 +37,7 @@ from .calibrate import (
 from .config import Method, ModelConfig, OdometryError
 from .estimates import OdometryRun
 from .estimator import VisualOdometry
+from .expected_input import ExpectedInput
 from .identity import identify
 from .model import METHODS, PoseModel
 from .training_data import Folds, TrainingData, make_folds
@@ -110,16 +111,14 @@ def train_model(
     )
     localizers = localizers or [localizer]
     prior = _motion_prior(data, config)
+    path_rules: dict[str, SplitConformal] = {}
     if config.method is Method.PAPER:  # without a novelty test
-        paths, regions = (
-            CalibratedPaths(),
-            CalibratedRegions(paper_rules(sources, folds.held_out, localizer, config), None, []),
-        )
+        regions = CalibratedRegions(paper_rules(sources, folds.held_out, localizer, config), None, [])
     else:
         features, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
         novelty = PlaceNovelty.fit(features, pieces, data.backbone.config.grid)
         frames_alone = calibrate_regions(sources, folds, localizers, novelty, config)
-        paths, regions = side_by_side(
+        path_rules, regions = side_by_side(
             lambda: calibrate_paths(data.sequence, data.targets, folds, localizers, frames_alone, prior, motions),
             lambda: calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, frames_alone, progress),
         )
@@ -134,11 +133,11 @@ def train_model(
         camera=data.sequence.camera,
         split=data.split,
         known_frames=known_frames,
+        expected_input=ExpectedInput.of(data.sequence),
         configuration=config.record(data.sequence.name, len(data.sequence), "stretches" if stretches else "frames")
         | {"whole_recordings": folds.whole_recordings},
         comparison=compare_sources(sources, localizers, localizer, novelty, rules, test) if stretches else None,
-        path_rules=paths.rules,
-        reliable_p=paths.reliable_p,
+        path_rules=path_rules,
         quality=regions.quality,
     )
 
@@ -146,7 +145,7 @@ def train_model(
 def _held_out_motions(
     sequence: Recording, folds: Folds, config: ModelConfig, progress: StageProgress | None
 ) -> dict[int, RelativeMotion | None]:
-    if config.method is Method.PAPER:
+    if config.method is Method.PAPER or folds.units is None:
         return {}
     return measure_motions(sequence, np.sort(folds.held_out), progress, local=False).motions
 
