@@ -12,6 +12,7 @@ import typer
 from conformodal.cli.main import COMMANDS, app
 from conformodal.io import read_recording
 from conformodal.io.pose_files import read_tum
+from conformodal.pipeline.guarantee import describe_guarantee
 from conformodal.pipeline.results import read_region_records
 from conformodal.pipeline.store import load_model
 from tests.helpers import fly, invoke, refusal, run_ok
@@ -140,10 +141,10 @@ def test_a_split_in_blocks_has_no_coverage_guarantee(small_world, tmp_path):
     trained = run_ok(*arguments, "--joint", "bonferroni", "--cache", small_world.cache)
     model = load_model(tmp_path / "m")
     assert 9 <= model.calibration.n_units < 69
-    assert model.comparison.describe() in " ".join(trained.output.split())
+    assert describe_guarantee(model) in " ".join(trained.output.split())
     run_ok("run", tmp_path / "m", small_world.folder, "--out", tmp_path / "o", "--part", "test")
     coverage = json.loads((tmp_path / "o" / "metrics.json").read_text())["coverage"]
-    assert "Coverage here is an observation" in coverage["assumption"]
+    assert coverage["assumption"] == f"{describe_guarantee(model)} Coverage here is an observation."
     assert coverage["joint_band_99"] is None
     assert "band_99" not in coverage["targets"]["x"]
 

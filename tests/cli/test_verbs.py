@@ -5,6 +5,7 @@ import sys
 import pytest
 
 from conformodal.cli import info as info_module
+from conformodal.pipeline.guarantee import describe_guarantee
 from conformodal.pipeline.store import load_model
 from tests.helpers import invoke
 
@@ -33,5 +34,5 @@ def test_info_names_training_data_guarantee_and_size(small_world):
     assert found["bytes"][weights.name] == weights.stat().st_size
     assert set(found["bounded_regions"]) == {kind.name.lower() for kind in model.rules.by_type}
     lines = info_module.describe_facts(found)
-    assert any("with probability at least 0.8" in line for line in lines)
+    assert found["guarantee"] == describe_guarantee(model) in lines
     assert invoke("info", small_world.model).stdout.replace("\n", "").startswith(lines[0])

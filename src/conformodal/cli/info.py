@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from conformodal.pipeline.guarantee import describe_guarantee, guarantees
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.store import load_model, model_digest
-from conformodal.quality.examining import guarantees
 
 from .console import report_line
 from .sources import SavedModel
@@ -57,6 +57,7 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
         "novelty_level": rules.level,
         "recognised_level": model.recognised_level,
         "bounded_regions": {one.evidence.name.lower(): one.finite for one in by_type},
+        "guarantee": describe_guarantee(model),
         "guarantees": [one.describe() for one in by_type],
         "radius_m": None if model.radius is None else model.radius.radius_m,
         "bytes": {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()},
@@ -68,15 +69,12 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
 def describe_facts(facts: dict[str, Any]) -> list[str]:
     """The facts as lines."""
     camera, parts = facts["camera"], ", ".join(f"{n} for {part}" for part, n in facts["frames"].items())
-    what = "the whole pose" if facts["joint"] != "none" else "each target by itself"
-    units = "frames" if facts["calibrated_on"] == "frames" else "frames, in whole stretches or recordings,"
     radius = f"{facts['radius_m']:.3f} m" if facts["radius_m"] is not None else "none (conformodal calibrate gives one)"
     return [
         f"trained on {facts['data']}: frames {parts} (split {facts['split']}, seed {facts['seed']})",
         f"camera: {camera['width']}x{camera['height']}, fx {camera['fx']:.1f}, fy {camera['fy']:.1f}",
         f"method {facts['method']}; sources: {', '.join(facts['sources'])}",
-        f"guarantee: regions hold {what} with probability at least {1 - facts['alpha']:g}, for frames exchangeable "
-        f"with the {facts['n_calibration']} {units} that calibrated them",
+        facts["guarantee"],
         *facts["guarantees"],
         f"images whose p-value of showing a known place is at most {facts['novelty_level']:g} "
         f"({facts['recognised_level']:g} where a place is recognised) get an unbounded region",

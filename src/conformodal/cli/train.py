@@ -18,13 +18,14 @@ from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import NETWORKS, TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind, frames_to_known
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
+from conformodal.pipeline.guarantee import describe_guarantee, guarantees
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import lock_output, write_metrics
 from conformodal.pipeline.store import model_digest, save_model
 from conformodal.pipeline.train import train_model
 from conformodal.quality.advice import advice, numbers, quality_record, verdict
-from conformodal.quality.examining import examine, guarantees
+from conformodal.quality.examining import examine
 
 from .console import OptionError, print_where, progress_bars, report_line
 from .sources import (
@@ -172,6 +173,7 @@ def train_on(
         "configuration": model.settings,
         "seed": config.seed,
         "split": split,
+        "guarantee": describe_guarantee(model),
         "source_comparison": None if model.comparison is None else asdict(model.comparison),
         "landmarks": None if model.landmarks is None else model.landmarks.summary,
         "quality": None if quality is None else quality_record(quality),
@@ -186,12 +188,7 @@ def train_on(
             "training or calibration frame: their errors do not tell what to expect of new images",
             bold=True,
         )
-    if model.comparison is not None and model.comparison.too_sure:
-        report_line(
-            "The model's sources are too sure of new stretches, and the coverage guarantee does not reach them: "
-            "calibrate on recordings (more of them), or on frames held out from the model (--calibration frames).",
-            bold=True,
-        )
+    report_line(describe_guarantee(model), bold=model.comparison is not None and model.comparison.too_sure)
     for line in [one.describe() for one in guarantees(model)] if quality is None else numbers(quality):
         report_line(line)
     if quality is not None:
@@ -226,7 +223,7 @@ def _describe_split(name: str, split: dict[str, Any]) -> list[str]:
 
 
 def _describe_model(model: PoseModel) -> list[str]:
-    """The landmarks, what calibrates the regions, the test for unknown places, and how sources compare."""
+    """The landmarks, what calibrates the regions, and the test for unknown places."""
     lines, rule, landmarks = [], model.calibration, model.landmarks
     if landmarks is not None:
         n_landmarks, n_frames = (int(landmarks.summary[name]) for name in ("n_landmarks", "n_keyframes"))
@@ -249,4 +246,4 @@ def _describe_model(model: PoseModel) -> list[str]:
             f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}, or "
             f"{model.recognised_level:.3g} if a place is recognised"
         )
-    return lines if model.comparison is None else [*lines, model.comparison.describe()]
+    return lines

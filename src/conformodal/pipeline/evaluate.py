@@ -16,24 +16,20 @@ from conformodal.localizer.observations import same_place
 from conformodal.localizer.radius import PoseRadius
 from conformodal.localizer.regions import EvidenceType, PoseRegions
 
+from .guarantee import describe_guarantee
 from .model import ONLINE, PoseModel
 
-_AT_RANDOM = "Frames were split at random, so calibration and test frames are exchangeable"
+_AT_RANDOM = "These frames were drawn at random together with those that calibrate"
 _ONE_LAW = f"{_AT_RANDOM}: the covered count of each evidence type follows a Beta-binomial law."
 _LAW_PER_TARGET = (
     f"{_AT_RANDOM}: for each evidence type the covered count of a target follows a Beta-binomial law. "
     "For the whole pose there is no exact law."
 )
 _MIXED = (
-    f"{_AT_RANDOM}, and the guarantee holds. Some images are disturbed as no training image is; copies disturbed at "
-    "random calibrate their regions, so there is no exact band."
+    f"{_AT_RANDOM}, but some images are disturbed as no training image is; copies disturbed at random calibrate their "
+    "regions, so there is no exact band."
 )
-_STRETCHES = (
-    "Thresholds are those of whole stretches (or recordings), answered by sources that had not seen them. The "
-    "guarantee is about a random frame of a new stretch, if stretches are exchangeable and the sources, which now know "
-    "all of them, have no larger scores than those that lacked some. Where stretches calibrate, it does not reach a "
-    "recording of which nothing was known. Coverage here is an observation."
-)
+_OBSERVED = "Coverage here is an observation."
 _SEEN = "The sources learnt from these frames, or were calibrated on them: coverage here says nothing about new ones."
 _BROKEN = (
     "These are not the frames, or not all of them, that were held out at random together with the calibration frames: "
@@ -99,11 +95,11 @@ def coverage_table(
     # those that left the range of qualities by chance are not exchangeable with disturbed ones
     one_law = exchangeable and by_frame and not (statistics.kinds == EvidenceType.DISTURBED).any()
     if exchangeable and by_frame:
-        assumption = (_ONE_LAW if whole else _LAW_PER_TARGET) if one_law else _MIXED
+        reach = (_ONE_LAW if whole else _LAW_PER_TARGET) if one_law else _MIXED
     elif seen or by_frame:
-        assumption = _SEEN if seen else _BROKEN
+        reach = _SEEN if seen else _BROKEN
     else:
-        assumption = _STRETCHES if model.comparison is None else f"{_STRETCHES} {model.comparison.describe()}."
+        reach = _OBSERVED
     targets: dict[str, dict[str, Any]] = {}
     for j, name in enumerate(TARGET_NAMES):
         targets[name] = {
@@ -138,7 +134,7 @@ def coverage_table(
         "joint_coverage": float(held.mean()),
         "joint_band_99": list(grouped_coverage_band(met, calibration.alpha)) if one_law and whole else None,
         "regions_from": f"one belief from {' + '.join(source.name for source in model.localizer.sources)}",
-        "assumption": assumption,
+        "assumption": f"{describe_guarantee(model)} {reach}",
     }
 
 

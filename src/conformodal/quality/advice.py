@@ -9,8 +9,9 @@ import numpy as np
 
 from conformodal.core.words import counted, finite_or_none
 from conformodal.localizer.regions import EvidenceType
+from conformodal.pipeline.guarantee import WHERE, EvidenceGuarantee
 
-from .examining import WHERE, EvidenceGuarantee, RecordingQuality
+from .examining import RecordingQuality
 from .view_coverage import QUALITY, AmbiguousStretch, Point, Stretch
 
 

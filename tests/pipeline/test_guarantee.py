@@ -7,8 +7,10 @@ import pytest
 from scipy.stats import betabinom
 
 from conformodal.conformal import QuantileBins, SplitConformal, conformal_rank
+from conformodal.io import SplitKind
 from conformodal.localizer.regions import EvidenceType, RegionRules
-from conformodal.quality.examining import N_NEW, guarantees
+from conformodal.pipeline.guarantee import N_NEW, describe_guarantee, guarantees
+from conformodal.pipeline.model import SourceComparison
 
 BINS = QuantileBins.from_edges([[0, 1, 2], [0, 1, 2]])
 
@@ -53,3 +55,28 @@ def test_the_weight_that_is_needed_is_where_regions_become_bounded():
         (one,) = guarantees(whole)
         assert one.weight_needed == pytest.approx(9)
         assert one.finite == (one.weight >= 9)
+
+
+STRETCHES = np.repeat(np.arange(12), 5)
+
+
+@pytest.mark.parametrize(
+    ("split", "groups", "n_folds_only", "stated", "not_stated"),
+    [
+        ("interleaved", None, None, ["drawn at random together"], ["test frames"]),
+        ("blocks", None, None, ["such as the test frames, are not"], ["drawn at random"]),
+        ("blocks", STRETCHES, 0, ["a new stretch", "the 12 that"], ["test frames", "does not hold"]),
+        ("given", STRETCHES, 0, ["does not reach the test frames"], ["does not hold"]),
+        ("recordings", STRETCHES, 40, ["0.580 of the poses", "does not hold"], ["test frames"]),
+    ],
+)
+def test_the_guarantee_is_stated_with_its_condition(split, groups, n_folds_only, stated, not_stated):
+    whole = model(groups=groups)
+    whole.calibration, whole.alpha, whole.n_calibration, whole.configuration = whole.rules.overall, 0.1, 60, {}
+    whole.split, whole.frames_are_exchangeable = SimpleNamespace(kind=SplitKind(split)), split == "interleaved"
+    whole.comparison = None
+    if n_folds_only is not None:
+        whole.comparison = SourceComparison(100, 58, 0, n_folds_only, 0.5)
+    text = describe_guarantee(whole)
+    assert "the whole pose with probability at least 0.9" in text
+    assert [words in text for words in (*stated, *not_stated)] == [True] * len(stated) + [False] * len(not_stated)
