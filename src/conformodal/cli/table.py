@@ -92,7 +92,8 @@ def table(
 def _check_outputs(plot: Path | None, model: Path | None) -> None:
     """Refuse to write over what this command has not written, and without the extras, before any work begins."""
     if plot is not None:
-        if plot.suffix not in _PICTURES or (plot.exists() and b"conformodal" not in plot.read_bytes()):
+        ours = not plot.exists() or (plot.is_file() and b"conformodal" in plot.read_bytes())
+        if plot.suffix not in _PICTURES or not ours:
             raise TableError(f"{plot}: must be new, or a picture of this command, with {', '.join(_PICTURES)}")
         with require_extra("figures", "--plot"):
             import_module("matplotlib")

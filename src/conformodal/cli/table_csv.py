@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from conformodal.core.errors import ConformodalError
+from conformodal.core.files import read_file
 from conformodal.core.words import counted, listed
 
 _SEPARATORS, _SAMPLE = ";\t,|", 1_000_000  # characters
@@ -111,7 +112,7 @@ def _named_cells(raw: pd.DataFrame, file: Path, separator: str) -> pd.DataFrame:
 
 def _text(file: Path) -> str:
     try:
-        content = file.read_bytes()
+        content = read_file(file)
     except OSError as exc:
         raise TableError(f"{file}: cannot be read: {exc.strerror}") from None
     marked = content[:2] in (b"\xff\xfe", b"\xfe\xff")

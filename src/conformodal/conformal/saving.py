@@ -13,7 +13,7 @@ import sklearn
 
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
-from conformodal.core.files import replacing
+from conformodal.core.files import read_file, replacing
 
 from .checks import brief
 
@@ -65,7 +65,7 @@ def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:
     with require_extra("save", "loading a regressor"):
         import skops.io  # noqa: PLC0415
     try:
-        content = Path(path).read_bytes()
+        content = read_file(path)
         types = skops.io.get_untrusted_types(data=content)
     except OSError as exc:
         raise ConformodalError(f"{path}: cannot be read: {exc.strerror}") from None

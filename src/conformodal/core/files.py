@@ -1,7 +1,8 @@
-"""Files that are written whole or not at all, and the cache folder."""
+"""Files that are read if they are files, and written whole or not at all; and the cache folder."""
 
 from __future__ import annotations
 
+import errno
 import os
 import threading
 from collections.abc import Iterator
@@ -16,6 +17,13 @@ def default_cache_dir() -> Path:
     if "CONFORMODAL_CACHE" in os.environ:
         return Path(os.environ["CONFORMODAL_CACHE"])
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "conformodal"
+
+
+def read_file(path: Path | str) -> bytes:
+    """The content of a file; an OSError for a pipe, which would be waited for, a device or a folder."""
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise OSError(errno.EINVAL, "is not a regular file")
+    return Path(path).read_bytes()
 
 
 def write_whole(path: Path, content: bytes | str) -> None:

@@ -14,7 +14,7 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from conformodal.core.arrays import AnyArray, Float32Array, UInt8Array
-from conformodal.core.files import write_whole
+from conformodal.core.files import read_file, write_whole
 from conformodal.core.parallel import in_threads
 from conformodal.core.progress import Progress
 from conformodal.io import ImageChange, ImageError, read_image
@@ -37,7 +37,7 @@ class FeatureCache:
     def key(self, backbone: Backbone, image_file: Path, noise: ImageChange | None = None) -> str:
         """Digest of everything that determines the features of an image file."""
         try:
-            content = image_file.read_bytes()
+            content = read_file(image_file)
         except OSError as exc:
             raise ImageError(f"{image_file}: image is missing or unreadable: {exc.strerror}") from exc
         disturbed = "" if noise is None or not noise.changes else f"{noise} {image_file.name}"
@@ -49,7 +49,7 @@ class FeatureCache:
             return None
         path = self._path(self.folder, key, kind)
         try:
-            content = path.read_bytes()
+            content = read_file(path)
         except OSError:
             return None
         with suppress(SafetensorError, KeyError, TypeError, ValueError, AttributeError):

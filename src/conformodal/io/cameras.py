@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from conformodal.core.arrays import FloatArray
-from conformodal.core.files import default_cache_dir, write_whole
+from conformodal.core.files import default_cache_dir, read_file, write_whole
 from conformodal.core.words import counted
 from conformodal.geometry import PinholeCamera, PoseError
 from conformodal.geometry.lens import AnyCamera, Fisheye, filled_share, pinhole_of, view_as
@@ -186,7 +186,7 @@ def _undistorted(image: Path, camera: AnyCamera, target: PinholeCamera) -> Path:
         return image
     pinhole, place = pinhole_of(camera), default_cache_dir() / "undistorted"
     try:
-        content = image.read_bytes()
+        content = read_file(image)
         digest = hashlib.sha256(f"{camera} {target} ".encode() + content).hexdigest()
         made = place / digest[:2] / digest / f"{image.stem}.png"
         if made.is_file() and not image_fault(made, (target.width, target.height)):

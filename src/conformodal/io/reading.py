@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.files import read_file
 
 from .errors import DatasetError
 
@@ -71,9 +71,7 @@ def numbers_in(line: str, count: int | None = None) -> list[float]:
 def read_lines(path: Path) -> list[str]:
     """Lines of a text file in UTF-8, with the line ends of any system, without blank ones at the end."""
     try:
-        if path.exists() and not os.path.isfile(path):  # a pipe would be waited for
-            raise OSError("is not a regular file")
-        return path.read_text(encoding="utf-8-sig").rstrip().splitlines()
+        return read_file(path).decode("utf-8-sig").rstrip().splitlines()
     except (OSError, ValueError) as exc:
         raise DatasetError(f"{path}: cannot be read: {exc}") from exc
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, Rows, UInt8Array
+from conformodal.core.files import read_file
 from conformodal.geometry import angle_between_quats
 from conformodal.io import Recording
 
@@ -53,7 +54,7 @@ def identify(sequence: Recording) -> FrameIdentities:
 
 def _file_digest(path: Path) -> bytes:
     try:
-        return hashlib.blake2b(path.read_bytes(), digest_size=_BYTES).digest()
+        return hashlib.blake2b(read_file(path), digest_size=_BYTES).digest()
     except OSError:
         return bytes(_BYTES)
 

@@ -17,7 +17,7 @@ import numpy as np
 from conformodal.conformal import ConformodalError
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.extras import require_extra
-from conformodal.core.files import replacing, write_whole
+from conformodal.core.files import read_file, replacing, write_whole
 from conformodal.core.words import as_utf8, finite_or_none
 from conformodal.geometry import Trajectory
 from conformodal.io.folders import FolderError, writing_in
@@ -199,7 +199,7 @@ class ResultsWriter:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+    return hashlib.sha256(read_file(path)).hexdigest() if path.is_file() else ""
 
 
 def write_run(folder: Path, run: OdometryRun, frame_names: Sequence[str], truth: Trajectory | None) -> None:
@@ -299,7 +299,7 @@ def read_run(folder: Path) -> RunResult:
 def read_region_records(path: Path) -> list[dict[str, Any]]:
     """Records of ``regions.jsonl``; refuses a line that is not such a record, by its number."""
     try:
-        lines = path.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
+        lines = read_file(path).decode("utf-8", "surrogateescape").split("\n")
     except OSError as exc:
         raise ResultsError(f"{path}: cannot be read: {exc.strerror}") from exc
     return [_parsed(line, f"{path}, line {number}") for number, line in enumerate(lines, start=1) if line]
@@ -334,7 +334,7 @@ def read_metrics(folder: Path) -> dict[str, Any]:
     """Read ``metrics.json``."""
     path = folder / METRICS
     try:
-        metrics = json.loads(path.read_text(encoding="utf-8"))
+        metrics = json.loads(read_file(path))
     except (OSError, ValueError, RecursionError) as exc:
         raise ResultsError(f"{path}: cannot be read as metrics: {exc}") from exc
     if not isinstance(metrics, dict) or not isinstance(metrics.get("configuration") or {}, dict):
@@ -377,7 +377,7 @@ def lock_output(folder: Path, command: str, apart: Iterable[Path] = ()) -> Itera
 def _owner(folder: Path) -> str | None:
     """The command whose results a folder holds, by its metrics, or by the first file that a command writes."""
     try:
-        return str(json.loads((folder / METRICS).read_text(encoding="utf-8"))["command"]).split()[0]
+        return str(json.loads(read_file(folder / METRICS))["command"]).split()[0]
     except FileNotFoundError:
         return next((who for who, names in _FILES.items() if (folder / names[0]).exists()), None)
     except (OSError, ValueError, KeyError, TypeError, IndexError, RecursionError):

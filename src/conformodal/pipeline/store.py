@@ -22,7 +22,7 @@ from safetensors.numpy import save as save_tensors
 from conformodal.conformal import ConformodalError, NoveltyTest, QuantileBins, SplitConformal
 from conformodal.core.arrays import AnyArray
 from conformodal.core.extras import MissingPackageError
-from conformodal.core.files import write_whole
+from conformodal.core.files import read_file, write_whole
 from conformodal.core.words import finite_or_none
 from conformodal.features.backbone import Backbone, BackboneConfig
 from conformodal.features.local import QualityRange
@@ -176,7 +176,7 @@ def model_digest(folder: Path) -> str | None:
 
 def _read_record(path: Path) -> dict[str, Any]:
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = json.loads(read_file(path))
     except OSError as exc:
         raise ModelFileError(f"{path}: no saved model there: {exc.strerror}") from exc
     except (ValueError, RecursionError) as exc:
@@ -193,7 +193,7 @@ def _read(folder: Path, name: str, record: dict[str, Any]) -> bytes:
     """The content of one of the files that a record names."""
     path = _path(folder, name, record[name])
     try:
-        content = path.read_bytes()
+        content = read_file(path)
     except OSError as exc:
         raise ModelFileError(f"{path}: cannot be read: {exc.strerror}") from exc
     if hashlib.sha256(content).hexdigest() != record[name]:

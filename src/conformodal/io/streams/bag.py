@@ -83,7 +83,7 @@ def open_bag(path: Path, topic: str | None = None, camera: PinholeCamera | None 
 
     `camera` is that of a recording without a ``CameraInfo``, whose images must have its size.
     """
-    if not path.exists():
+    if not (path.is_file() or path.is_dir()):
         raise SourceError(f"{path}: no such recording")
     notes: list[Note] = []
     with bag_reader(path) as reader:
