@@ -5,6 +5,7 @@ Nothing shifts, and nothing outside the folder is read.
 
 import json
 import os
+import unicodedata
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -226,7 +227,7 @@ REFUSED = [
         (COLMAP, sub("images.txt", *change), r"images\.txt")
         for change in (
             (" 3 0002", " 4 0002"), (POINTS, "", 1), (" 0003.png", ""), ("0003.png", "0002.png"),
-            (" 3 0003", " 3_0 0003"), ("44\n", "44\n1 2 3 4 5 6 7 8 9 10 11 12\n", 1),
+            ("0003.png", "0002.PNG"), (" 3 0003", " 3_0 0003"), ("44\n", "44\n1 2 3 4 5 6 7 8 9 10 11 12\n", 1),
         )
     ],
     (COLMAP, add("times.txt", "1 2 4\n"), r"times\.txt"),
@@ -283,6 +284,7 @@ def test_images_without_a_camera_are_told_what_they_lack(tmp_path):
 def write_camera(layout, root, pixels, lens=(), size=SIZE):
     """Write a camera into a data set of a layout; returns the name of its file."""
     fx, fy, cx, cy = pixels
+    from_corner = (fx, fy, cx + 0.5, cy + 0.5)
     if layout is KITTI:
         path = next(root.rglob("calib.txt"))
         path.write_text(f"P0: {fx} 0 {cx} 0 0 {fy} {cy} 0 0 0 1 0\n")
@@ -294,11 +296,11 @@ def write_camera(layout, root, pixels, lens=(), size=SIZE):
         path.write_text("\n".join(keep).replace("nan", ".nan").replace("inf]", ".inf]").replace("inf,", ".inf,"))
     elif layout is COLMAP:
         path = next(root.rglob("cameras.txt"))
-        path.write_text(f"3 OPENCV {size[0]} {size[1]} {' '.join(map(str, (*pixels, *(lens or (0, 0, 0, 0)))))}\n")
+        path.write_text(f"3 OPENCV {size[0]} {size[1]} {' '.join(map(str, (*from_corner, *(lens or (0, 0, 0, 0)))))}\n")
     elif layout is NERF:
         path = root / "transforms.json"
         names = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2")
-        values = dict(zip(names, (*pixels, *size, *(lens or (0, 0, 0, 0))), strict=True))
+        values = dict(zip(names, (*from_corner, *size, *(lens or (0, 0, 0, 0))), strict=True))
         nerf({"camera_angle_x": None, **values})(root)
     else:
         path = max(root.rglob("camera-intrinsics.txt"))
@@ -372,6 +374,23 @@ def test_what_systems_leave_behind_is_no_frame(tmp_path, layout):
         for junk in ("._{name}", ".DS_Store", "Thumbs.db", ".{name}.swp", "{name}.part", ".hidden.png"):
             (path / junk.format(name=before.image_paths[0].name)).write_bytes(b"\0\5\x16\7")
     expect_the_same(folder, before)
+
+
+@pytest.mark.parametrize("layout", [TUM, EUROC, COLMAP, NERF])
+@pytest.mark.parametrize("change", [str.upper, lambda name: unicodedata.normalize("NFD", f"ü{name}")])
+def test_names_in_another_case_or_unicode_form_are_found(tmp_path, layout, change):
+    folder = WRITERS[layout](tmp_path)
+    before = read_recording(folder)
+    list_of_names = next(tmp_path.rglob(NAMED[layout][0]))
+    for path in before.image_paths:
+        path.rename(path.with_name(change(path.name)))
+        if change is not str.upper:
+            before_name = {TUM: "rgb/", EUROC: ",", COLMAP: " 3 ", NERF: "images/"}[layout]
+            text = list_of_names.read_text().replace(before_name + path.stem, f"{before_name}ü{path.stem}")
+            list_of_names.write_text(text)
+    read = read_recording(folder)
+    assert [path.name for path in read.image_paths] == [change(path.name) for path in before.image_paths]
+    np.testing.assert_array_equal(read.truth.positions_xyz, before.truth.positions_xyz)
 
 
 CHANGES = {

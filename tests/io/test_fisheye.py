@@ -11,6 +11,7 @@ from conformodal.io import DatasetError, DatasetWarning, read_recording
 
 W, H = 160, 120
 F = (62.0, 60.0, 81.5, 58.0)  # fx, fy, cx, cy
+FROM_CORNER = (62.0, 60.0, 82.0, 58.5)  # as COLMAP and NeRF count pixels
 K = (-0.05, 0.012, -0.004, 0.0007)
 N = 3
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.io.DatasetWarning")
@@ -61,7 +62,7 @@ def write_pictures(root, suffix=".png"):
     return root
 
 
-def write_colmap(root, numbers=(*F, *K), size=(W, H)):
+def write_colmap(root, numbers=(*FROM_CORNER, *K), size=(W, H)):
     write_pictures(root)
     place = root / "sparse" / "0"
     place.mkdir(parents=True)
@@ -75,7 +76,7 @@ def write_nerf(root, change=None):
     write_pictures(root)
     poses = np.tile(np.diag([1.0, -1, -1, 1]), (N, 1, 1))
     poses[:, 0, 3] = 0.5 * np.arange(N)
-    content = dict(zip(("fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4"), (*F, *K), strict=True))
+    content = dict(zip(("fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4"), (*FROM_CORNER, *K), strict=True))
     content |= {"w": W, "h": H, "camera_model": "OPENCV_FISHEYE"} | (change or {})
     content["frames"] = [{"file_path": f"images/{i:02d}.png", "transform_matrix": poses[i].tolist()} for i in range(N)]
     (root / "transforms.json").write_text(json.dumps(content))
@@ -117,7 +118,7 @@ def test_pictures_are_undistorted_once(tmp_path, cache):
 
 
 def test_a_stated_size_scales_the_lens(tmp_path):
-    twice = [2 * v for v in F]
+    twice = [2 * v for v in FROM_CORNER]
     sequence = read_recording(write_colmap(tmp_path / "a", (*twice, *K), (2 * W, 2 * H)))
     assert sequence.camera == PinholeCamera(*F, W, H)
     np.testing.assert_allclose(centres(sequence.image(0), GRID), GRID, atol=0.05)
@@ -127,7 +128,7 @@ def test_what_a_pinhole_camera_cannot_show_is_cut_off_and_told(tmp_path):
     """A lens of 190 degrees without distortion: r = f t."""
     f = (W / 2) / np.radians(95)
     with pytest.warns(DatasetWarning, match=r"keeps 118 of 190 degrees across; the rest is cut off"):
-        sequence = read_recording(write_colmap(tmp_path / "a", (f, f, W / 2, H / 2, 0, 0, 0, 0)))
+        sequence = read_recording(write_colmap(tmp_path / "a", (f, f, W / 2 + 0.5, H / 2 + 0.5, 0, 0, 0, 0)))
     assert any(what == "fisheye images are undistorted" for what, _ in sequence.notes)
     assert sequence.image(0)[:, :2].any()  # nothing black at its sides
 

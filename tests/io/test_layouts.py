@@ -114,7 +114,9 @@ def write_colmap(root):
         lines += [f"{i + 7} {numbers} 3 {i:04d}.png", "10.5 11.5 -1 12.0 13.0 44"]
     (root / "sparse" / "0").mkdir(parents=True)
     (root / "sparse" / "0" / "images.txt").write_text("\n".join(lines) + "\n")
-    (root / "sparse" / "0" / "cameras.txt").write_text("# cameras\n3 OPENCV 64 48 40 40 32 24 -0.1 0.02 0.001 0.002\n")
+    (root / "sparse" / "0" / "cameras.txt").write_text(
+        "# cameras\n3 OPENCV 64 48 40 40 32.5 24.5 -0.1 0.02 0.001 0.002\n"
+    )
     (root / "frame-rate.txt").write_text("10\n")
     return root
 
@@ -126,7 +128,7 @@ def write_nerf(root):
         picture(root / "images" / f"{i:04d}.png", i)
         opengl = np.column_stack((pose[:, 0], -pose[:, 1], -pose[:, 2], pose[:, 3]))
         frames.append({"file_path": f"./images/{i:04d}", "transform_matrix": opengl.tolist()})
-    content = {"camera_angle_x": 2 * np.arctan(32 / 40), "cx": 32, "cy": 24, "frames": frames[::-1]}
+    content = {"camera_angle_x": 2 * np.arctan(32 / 40), "cx": 32.5, "cy": 24.5, "frames": frames[::-1]}
     (root / "transforms.json").write_text(json.dumps(content))
     (root / "frame-rate.txt").write_text("10\n")
     return root

@@ -61,7 +61,7 @@ def camera_of(
                 f"{source}: gives its camera for {given} pixels, and the images have {actual}, another shape (are they "
                 "turned?); give the camera of these images"
             )
-        fx, fy, cx, cy = fx * sx, fy * sy, cx * sx, cy * sy
+        fx, fy, cx, cy = fx * sx, fy * sy, (cx + 0.5) * sx - 0.5, (cy + 0.5) * sy - 0.5  # pixels' centres are whole
         notes.append(Note(SCALED, f"{source}: intrinsics are scaled from {given} pixels to the images' {actual}"))
     try:
         camera = PinholeCamera(fx, fy, cx, cy, *size, lens if any(lens) else ())

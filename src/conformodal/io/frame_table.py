@@ -96,6 +96,8 @@ class FrameTable:
             raise DatasetError(f"{as_utf8(bad)}: its name is not UTF-8; rename it")
         if self.root is not None and not follow_outside:
             _refuse_outside(self.images, self.root, self.source)
+        if twice := [path for path, n in Counter(map(os.path.normpath, self.images)).items() if n > 1]:
+            raise DatasetError(f"{self.source}: names {twice[0]} twice, expected each image once")
         times, unit = in_seconds(self.times)
         if unit:
             self.notes.append(Note(CONVERTED, f"{self.name}: {np.nanmedian(self.times):.6g} looks like {unit}"))

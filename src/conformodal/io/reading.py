@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
+import unicodedata
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -146,11 +150,34 @@ def _refuse_twice(keys: Sequence[str | int], paths: list[Path]) -> None:
 
 
 def file_named(base: Path, name: str) -> Path:
-    """The file that a list of a data set names, also as Windows writes it."""
+    """The file that a list of a data set names, also as Windows writes it, or in another case or Unicode form."""
     if "\0" in name:
         raise DatasetError(f"{base}: {name[:80]!r} is not a file name")
-    path = base / name
-    return base / name.replace("\\", "/") if "\\" in name and not path.exists() else path
+    paths = [base / name, base / name.replace("\\", "/")]
+    return next((path for path in paths if os.path.lexists(path)), None) or _as_stored(paths[1])
+
+
+def _as_stored(path: Path) -> Path:
+    """The only path that differs from one that is missing in case or Unicode form alone, or that one itself."""
+    if os.path.lexists(path) or path == path.parent:
+        return path
+    parent = _as_stored(path.parent)
+    with suppress(OSError):
+        alike = _names_alike(parent, parent.stat().st_mtime_ns).get(_folded(path.name), [])
+        return parent / (alike[0] if len(alike) == 1 else path.name)
+    return path
+
+
+def _folded(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+@lru_cache(maxsize=8)  # many images of one folder may be named so
+def _names_alike(folder: Path, mtime_ns: int) -> dict[str, list[str]]:
+    names: dict[str, list[str]] = {}
+    for name in os.listdir(folder):
+        names.setdefault(_folded(name), []).append(name)
+    return names
 
 
 def numbered_frames(folder: Path, pattern: re.Pattern[str]) -> list[tuple[int, Path]]:

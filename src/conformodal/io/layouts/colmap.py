@@ -145,7 +145,11 @@ def _lens(camera: _Camera, size: Size, notes: list[Note]) -> AnyCamera:
             f"{', '.join(_LENSES)}: {UNDISTORT}"
         )
     value = dict(zip(names, camera.parameters, strict=True))
-    pixels = value.get("f", value.get("fx", 0.0)), value.get("f", value.get("fy", 0.0)), value["cx"], value["cy"]
+    centre = (
+        value["cx"] - 0.5,
+        value["cy"] - 0.5,
+    )  # COLMAP's first pixel has its centre at (0.5, 0.5), OpenCV's at (0, 0)
+    pixels = value.get("f", value.get("fx", 0.0)), value.get("f", value.get("fy", 0.0)), *centre
     if camera.model.endswith("FISHEYE"):
         coefficients = tuple(value.get(name, 0.0) for name in ("k1", "k2", "k3", "k4"))
         return fisheye_of(camera.where, pixels, size, coefficients, stated=camera.size, notes=notes)

@@ -22,7 +22,6 @@ from conformodal.io.reading import MALFORMED, SUFFIXES, Note, by_name, file_name
 
 FILES = ("transforms.json", "transforms_train.json")
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
-_SUFFIXES = ("", *SUFFIXES, *map(str.upper, SUFFIXES))  # which a name may leave out
 _LENS, _FISHEYE_LENS = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
 _ANGLES = ("camera_angle_x", "camera_angle_y")
 _WORDS = ("camera_model", "is_fisheye")
@@ -62,8 +61,6 @@ def read_nerf(folder: Path) -> FrameTable:
     images = [_image(folder, name) for name in names]
     if not any(map(os.path.isfile, images)):
         raise DatasetError(f"{path}: names {names[0]}, but there is no such image in {folder}")
-    if len(set(map(os.path.realpath, images))) < len(images):
-        raise DatasetError(f"{path}: names an image twice, expected one pose per image")
     lens = _camera(path, camera, common_size(images), notes)
     faults = matrix_faults(poses)
     poses[list(faults)] = np.nan
@@ -93,9 +90,8 @@ def _number(value: Any) -> float:
 
 def _image(folder: Path, name: str) -> Path:
     """The file of a name, whose suffix may be left out."""
-    whole = file_named(folder, name)
-    named = [whole.with_name(f"{whole.name}{suffix}") for suffix in _SUFFIXES if whole.name]
-    return next((path for path in named if os.path.lexists(path)), whole)
+    named = [file_named(folder, f"{name}{suffix}") for suffix in ("", *SUFFIXES)]
+    return next((path for path in named if os.path.lexists(path)), named[0])
 
 
 def _camera(path: Path, values: dict[str, Any], size: Size, notes: list[Note]) -> AnyCamera:
@@ -117,7 +113,8 @@ def _camera(path: Path, values: dict[str, Any], size: Size, notes: list[Note]) -
         raise DatasetError(
             f"{path}: has fl_x {fx} and camera_angle_x {values.get(_ANGLES[0])}, expected one or both alike"
         )
-    pixels = fx, fy, values.get("cx", whole[0] / 2), values.get("cy", whole[1] / 2)
+    # the first pixel's centre is (0.5, 0.5), as in COLMAP; OpenCV's is (0, 0)
+    pixels = fx, fy, values.get("cx", whole[0] / 2) - 0.5, values.get("cy", whole[1] / 2) - 0.5
     make, names = (fisheye_of, _FISHEYE_LENS) if fisheye else (camera_of, _LENS)
     lens = tuple(values.get(name, 0.0) for name in names)
     lens = lens if fisheye or lens[4] else lens[:4]
