@@ -36,13 +36,22 @@ class Points(NamedTuple):
     reliable: BoolArray
 
 
+def nearest_kilometres(positions_xyz: FloatArray) -> FloatArray:
+    """The mean (3,) of positions (n, 3), rounded to 1000 m; zeros near the world's own origin.
+
+    Relative to it, squares and single precision lose nothing.
+    """
+    return np.asarray(1000 * np.round(positions_xyz.mean(axis=0) / 1000))
+
+
 def triangulate(rays: Rays, tolerance: float) -> Points:
     """Points nearest to their rays, by robust least squares over the angles between points and rays.
 
     A point is reliable if its own frame and another one agree on it within the tolerance (radians), it lies in front of
     both, and their rays differ by 2.5 degrees. Corners that no other camera sees near the epipolar line have no point.
     """
-    R, centres = rays.R_world_cam[rays.camera], rays.centres[rays.camera]
+    origin = nearest_kilometres(rays.centres)
+    R, centres = rays.R_world_cam[rays.camera], (rays.centres - origin)[rays.camera]
     local, first = np.column_stack((rays.plane, np.ones(len(rays.plane)))), rays.first
     xyz, reliable = np.full((len(first), 3), np.nan), np.zeros(len(first), dtype=np.bool_)
     kept = _off_epipolar(local, R, centres, first[rays.corner]) < tolerance
@@ -67,7 +76,7 @@ def triangulate(rays: Rays, tolerance: float) -> Points:
         weights /= np.maximum(np.maximum.reduceat(weights, starts), 1e-12)[corner]
     agree = (off < tolerance) & (along > 0)
     cosine = np.where(agree, (world[starts][corner] * world).sum(axis=1), 1.0)
-    xyz[corners] = points
+    xyz[corners] = points + origin
     reliable[corners] = agree[starts] & (np.minimum.reduceat(cosine, starts) < np.cos(MIN_PARALLAX_RAD))
     return Points(xyz, reliable)
 

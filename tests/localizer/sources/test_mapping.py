@@ -28,13 +28,16 @@ def errors(estimate, pose):
     return np.linalg.norm(estimate.position_xyz - pose[:3, 3]), turned.magnitude()
 
 
-def test_an_image_between_the_keyframes_is_found(world_of, stated_camera, depth_m):
+@pytest.mark.parametrize("origin", [(0, 0, 0), (744073.3, 2553112.0, 0.2), (4.2e6, 1.7e5, 4.8e6)])  # UTM, ECEF
+def test_an_image_between_the_keyframes_is_found(world_of, stated_camera, depth_m, origin):
     world = world_of()
-    landmarks = LandmarkMap.build(world.local_features()[::2], world.poses_se3[::2], stated_camera, depth_m)
+    poses = world.poses_se3.copy()
+    poses[:, :3, 3] += origin
+    landmarks = LandmarkMap.build(world.local_features()[::2], poses[::2], stated_camera, depth_m)
     off = []
-    for i in range(1, len(world.poses_se3), 2):
+    for i in range(1, len(poses), 2):
         (estimate,) = landmarks.localize(world.see(world.poses_se3[i], seed=500 + i, wrong=0.3))
-        off.append(errors(estimate, world.poses_se3[i]))
+        off.append(errors(estimate, poses[i]))
         assert estimate.n_inliers > 100
     assert np.median(off, axis=0) == pytest.approx(0, abs=0.004)  # metres and radians
     assert np.max(off, axis=0) == pytest.approx(0, abs=0.02)

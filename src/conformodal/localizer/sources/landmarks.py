@@ -20,6 +20,7 @@ from conformodal.features.backbone import at_unit_length
 from conformodal.features.local import LocalFeatures, Matcher, match
 from conformodal.geometry import PinholeCamera, Trajectory, angle_between_quats, cross_matrices, rigid_motions
 from conformodal.geometry.adjustment import MEDIAN_OF_NORM2
+from conformodal.geometry.triangulation import nearest_kilometres
 from conformodal.localizer.evidence import (
     LEAST_ESTIMATES,
     ErrorModel,
@@ -32,8 +33,10 @@ from conformodal.localizer.evidence import (
 from .mapping import triangulate_frames, view_overlap
 from .registry import SourceAnswer, SourceData, SourceState, register_source
 
-_MAPPED = ("T_pose_cam", "shutter", "poses_se3", "global_descriptors", "starts", "points_xyz")
-_ARRAYS = (*_MAPPED, "descriptors", "corrections")
+_ARRAYS = (
+    "T_pose_cam", "shutter", "origin_xyz", "poses_se3", "global_descriptors", "starts", "points_xyz", "descriptors",
+    "corrections",
+)  # fmt: skip
 _MAX_KEYFRAMES = 1000
 _LEFT_OUT = 100  # keyframes that the error model is learnt from
 # Keyframes whose view overlaps by more than this are hidden from a left-out one, so that hardly anything it sees is
@@ -68,15 +71,18 @@ class LandmarkMap:
     Landmarks belong to adjusted poses of the keyframes. Rolling shutters, clocks and reference poses make neighbours
     deviate alike from the given ones. The weighted mean of the neighbours' `corrections` is therefore subtracted from
     an estimate, which brings it to the given frame; their scatter is part of its standard deviation.
+
+    Poses and points are relative to an origin, so that single precision and squares lose nothing far from the world's.
     """
 
     camera: PinholeCamera  # without distortion
     T_pose_cam: FloatArray  # (4, 4) from the camera's frame to the one whose poses are given
     shutter: FloatArray  # (2,), see PinholeCamera.at_pose_time
-    poses_se3: FloatArray  # (n, 4, 4) of the keyframes, as given
+    origin_xyz: FloatArray  # (3,) metres, world; whole kilometres: near the world's origin it is the same
+    poses_se3: FloatArray  # (n, 4, 4) of the keyframes, as given but for the origin
     global_descriptors: npt.NDArray[np.float16]  # (n, G)
     starts: IntArray  # (n + 1,) landmarks of keyframe i are starts[i] to starts[i + 1]
-    points_xyz: Float32Array  # (N, 3) metres, world
+    points_xyz: Float32Array  # (N, 3) metres
     descriptors: UInt8Array  # (N, 32)
     corrections: FloatArray  # (n, 6) adjusted minus given pose of each keyframe: metres and a rotation vector, world
     depth_m: float  # median depth of the scene
@@ -92,10 +98,14 @@ class LandmarkMap:
         matcher: Matcher | None = None,
     ) -> Self:
         """Map n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps."""
+        origin_xyz = nearest_kilometres(poses_se3[:, :3, 3])
+        poses_se3 = poses_se3.copy()
+        poses_se3[:, :3, 3] -= origin_xyz
         mapped = triangulate_frames(features, poses_se3, camera, depth_m, progress, matcher or Matcher())
         global_descriptors = np.array([one.global_descriptor for one in features], dtype=np.float16)
         return cls(
             *mapped.mounted,
+            origin_xyz,
             poses_se3,
             global_descriptors,
             mapped.starts,
@@ -191,7 +201,7 @@ class LandmarkMap:
         off, scatter, apart = self._correction(T_world_pose, shown)
         sigma_m, sigma_rad = np.hypot(sigmas, scatter).tolist()
         turn = Rotation.from_rotvec(-off[3:]) * Rotation.from_matrix(T_world_pose[:3, :3])
-        position, quat = T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True)
+        position, quat = self.origin_xyz + T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True)
         agreeing = np.unique(corners[inliers])
         image_share = self._share_of_image(image.pixels[agreeing])
         return PoseMeasurement(position, quat, sigma_m, sigma_rad, len(agreeing), 1.0, share, image_share, apart)
