@@ -136,6 +136,26 @@ def test_poses_with_other_separators_and_a_head_that_names_the_order(tmp_path, h
     assert ("wxyz" in dict(recording.notes).get("poses are doubtful", "")) == (rows is ORDERED)
 
 
+@pytest.mark.parametrize("n_further", [6, 9, 12, 21, 36])
+def test_covariances_behind_poses_are_passed_over(tmp_path, n_further):
+    rows = np.column_stack((ORDERED[:, [0, 1, 2, 3, 5, 6, 7, 4]], np.full((N, n_further), 0.25)))
+    right(recording := read_recording(tum(tmp_path, rows)))
+    assert "poses are doubtful" not in dict(recording.notes)
+    with pytest.raises(DatasetError, match="expected 8 numbers"):  # 12 are KITTI's
+        read_recording(tum(tmp_path / "other", rows[:, :12]))
+
+
+@pytest.mark.parametrize("head", ["", "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x []\n"])
+def test_the_truth_of_euroc_is_read_as_a_trajectory_and_told_to_be_the_body_s(tmp_path, head):
+    stamps = 1403636579763555584 + 50_000_000 * np.arange(N)
+    lines = [f"{t},{','.join(map(str, row[1:]))}{',0.0' * 9}" for t, row in zip(stamps, ORDERED, strict=True)]
+    (tmp_path / "data.csv").write_text(head + "\n".join(lines))
+    with pytest.warns(UserWarning, match="EuRoC's body, not of its camera"):
+        truth = read_tum(tmp_path / "data.csv")
+    np.testing.assert_allclose(truth.poses_se3, matrices(), atol=1e-9)
+    np.testing.assert_allclose(truth.timestamps_s, stamps / 1e9, rtol=0, atol=1e-6)
+
+
 def test_positions_in_millimetres_are_told(tmp_path):
     rows = path_at(STAMPS) * np.repeat([1, 1000, 1], [1, 3, 4])
     assert "moves at 5e+03 m/s" in dict(read_recording(tum(tmp_path, rows)).notes)["speed is unlikely"]

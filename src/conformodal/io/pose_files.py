@@ -1,6 +1,6 @@
 """Files with one pose per line, and what is wrong with a pose.
 
-- TUM: ``timestamp tx ty tz qx qy qz qw``, with the scalar of the quaternion last.
+- TUM: ``timestamp tx ty tz qx qy qz qw``, with the scalar of the quaternion last; covariances may follow (OpenVINS).
 - KITTI: the upper 3x4 of ``T_world_cam`` row by row, without timestamps.
 - EuRoC: CSV of ``timestamp [ns], p_x, p_y, p_z, q_w, q_x, q_y, q_z``; further columns are ignored.
 """
@@ -32,6 +32,9 @@ _MOST_M = 1e9
 _LENGTH_OFF = 0.01  # of a unit quaternion
 _HEAD_LINES = 5
 _LOST_STEPS, _LARGE = 10, 95  # from the identity to the poses around it, each as large as this percentile
+_EUROC = 17  # numbers of a line, velocity and biases among them
+# Numbers of TUM's lines with covariances: variances, those of the position, of both halves, half of (6, 6) or all.
+_COVARIANCES = (14, 17, 20, 29, 44)
 _COLUMN = re.compile(r"\bq(?:uat)?(?:[a-z_.]*[_.])?([wxyz])\b", re.IGNORECASE)
 
 
@@ -95,8 +98,18 @@ def read_tum(path: Path) -> Trajectory:
 
 
 def tum_table(path: Path) -> PoseRows:
-    """Rows with times (n, 8) of a file in TUM's format."""
-    return _timed(path, partial(numbers_in, count=8), "eight numbers 'timestamp tx ty tz qx qy qz qw'", "xyzw")
+    """Rows with times (n, 8) of a file in TUM's format, or in EuRoC's, which has more columns and whole nanoseconds."""
+    first = tokens(next((line for line in read_lines(path) if line.lstrip()[:1].isdigit()), ""))
+    if len(first) == _EUROC and first[0].isdigit():
+        table = euroc_table(path)
+        table.doubts.append(f"{path}: has the poses of EuRoC's body, not of its camera; name the data set's folder")
+        return table
+    count = len(first) if len(first) in _COVARIANCES else 8
+
+    def parse(line: str) -> list[float]:
+        return numbers_in(line, count)[:8]
+
+    return _timed(path, parse, f"{count} numbers 'timestamp tx ty tz qx qy qz qw'", "xyzw")
 
 
 def euroc_table(path: Path) -> PoseRows:

@@ -52,7 +52,7 @@ def posed(store, kind, pose, t, child, parent="odom"):
     return types[kind](header=head, child_frame_id=child, pose=unsure, twist=still)
 
 
-TF = "tf2_msgs/msg/TFMessage"
+TF, PATH = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Path"
 
 
 def write_posed(path, sent, ros1=False):
@@ -69,7 +69,14 @@ def write_posed(path, sent, ros1=False):
     every = [(99.0, "/cam/camera_info", camera_info(store, images[0][0]))]
     every += [(t, "/cam/image_raw", its) for t, (_, its) in zip(IMAGE_TIMES, images, strict=True)]
     for topic, kind, pose_of, child, parent, times in sent:
-        every += [(t, topic, posed(store, kind, pose_of(t), t, child, parent)) for t in times]
+        each = "geometry_msgs/msg/PoseStamped" if kind == PATH else kind
+        frame = "cam" if kind == PATH else parent  # some name the camera in the poses, and the world above them
+        poses = [posed(store, each, pose_of(t), t, child, frame) for t in times]
+        if kind == PATH:  # repeats its poses, and corrects them at last
+            head = parts(store, np.eye(4), times[-1], parent)[0]
+            wrong = [posed(store, each, np.eye(4), t, child, frame) for t in times]
+            poses = [store.types[PATH](header=head, poses=some) for some in [wrong] * (len(poses) - 1) + [poses]]
+        every += [(t, topic, pose) for t, pose in zip(times, poses, strict=True)]
     with writer:
         to = {}
         for t, topic, message in sorted(every, key=lambda its: its[0]):
@@ -96,6 +103,7 @@ def check(sequence, pose_of):
     [
         ("nav_msgs/msg/Odometry", "of cam in odom"),
         ("geometry_msgs/msg/TransformStamped", "of cam in odom"),
+        ("nav_msgs/msg/Path", "taken as those of the camera"),
         ("geometry_msgs/msg/PoseStamped", "taken as those of the camera"),
         ("geometry_msgs/msg/PoseWithCovarianceStamped", "taken as those of the camera"),
     ],

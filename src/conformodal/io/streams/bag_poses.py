@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,10 +19,11 @@ from .frames import SourceError
 from .ros_messages import stamp_s
 
 _TRANSFORM, _TRANSFORMS = "geometry_msgs/msg/TransformStamped", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_POSE, _PATH = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
 _WITHIN = {  # where a message has its pose
     "nav_msgs/msg/Odometry": "pose.pose",
     "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose",
-    "geometry_msgs/msg/PoseStamped": "pose",
+    _POSE: "pose",
     _TRANSFORM: "transform",
 }
 _STATIC = "tf_static"
@@ -43,16 +45,17 @@ class _Edge(NamedTuple):
 def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: float = MAX_GAP_S) -> Trajectory:
     """Poses ``T_world_cam`` of a recording, on the clock of its images, whose ``frame_id`` is the camera's frame.
 
-    The topic is one of Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped; or of transforms, as
-    ``/tf``, which lead from the camera's frame to the root of their tree. Poses of another frame are moved to the
-    camera by ``/tf_static``; those of a message that does not name the frame are taken as the camera's. `notes`
-    receives which poses were used; `max_gap_s` is the longest gap over which a transform is interpolated.
+    The topic is one of Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped; of Path, whose last
+    message is read, as SLAM corrects what it sent before; or of transforms, as ``/tf``, which lead from the camera's
+    frame to the root of their tree. Poses of another frame are moved to the camera by ``/tf_static``; those of a
+    message that does not name the frame are taken as the camera's. `notes` receives which poses were used; `max_gap_s`
+    is the longest gap over which a transform is interpolated.
     """
     place = f"{bag.path}: {topic}"
     moving, static, n_unusable = _Tree(), _Tree(), 0
     with bag_reader(bag.path) as reader:
         kinds = {c.topic: c.msgtype for c in reader.connections if c.msgcount and not _is_static(c.topic)}
-        kinds = {name: kind for name, kind in kinds.items() if kind in (*_WITHIN, *_TRANSFORMS)}
+        kinds = {name: kind for name, kind in kinds.items() if kind in (*_WITHIN, *_TRANSFORMS, _PATH)}
         if topic not in kinds:
             named = ", ".join(sorted(kinds)) or "none"
             raise SourceError(f"{bag.path}: holds no poses on {topic}, which is no file either; there are {named}")
@@ -61,29 +64,44 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
             connection, _, raw = next(reader.messages(connections=images))
             camera = _frame(reader.deserialize(raw, connection.msgtype).header.frame_id)
             wanted = [c for c in reader.connections if c.topic == topic or _is_static(c.topic)]
-            for connection, received_ns, raw in reader.messages(connections=wanted):
-                message, received_s = reader.deserialize(raw, connection.msgtype), received_ns / 1e9
-                is_transforms = connection.msgtype in _TRANSFORMS
-                for each in message.transforms if is_transforms else [message]:
+            for sent_on, kind, received_s, message in _messages(reader, wanted):
+                each_kind = _TRANSFORM if kind in _TRANSFORMS else _POSE if kind == _PATH else kind
+                for each in (
+                    message.transforms if kind in _TRANSFORMS else message.poses if kind == _PATH else [message]
+                ):
                     time_s = received_s if bag.received else stamp_s(each)
-                    row = [time_s, *_pose_of(each, _TRANSFORM if is_transforms else connection.msgtype)]
+                    row = [time_s, *_pose_of(each, each_kind)]
                     if not np.isfinite(row).all() or pose_faults(np.array([row[1:4]]), np.array([row[4:]])):
                         n_unusable += 1
                         continue
-                    frame, parent = _frame(getattr(each, "child_frame_id", "")) or camera, _frame(each.header.frame_id)
-                    tree = moving if connection.topic == topic else static
+                    header = message.header if kind == _PATH else each.header
+                    frame, parent = _frame(getattr(each, "child_frame_id", "")) or camera, _frame(header.frame_id)
+                    tree = moving if sent_on == topic else static
                     if tree.setdefault(frame, (parent, []))[0] != parent:
                         raise ValueError(f"has poses of {frame} in {tree[frame][0]} and in {parent}; {_BY_HAND}")
                     tree[frame][1].append(row)
         except Exception as exc:  # damaged bytes lead a decoder to any error
             raise SourceError(f"{place}: cannot be read: {exc}") from exc
-    if kinds[topic].endswith(("PoseStamped", "PoseWithCovarianceStamped")):
+    if kinds[topic].endswith(("PoseStamped", "PoseWithCovarianceStamped", "Path")):
         notes.append(Note("poses", f"{place}: name no frame, and are taken as those of the camera"))
     if n_unusable:
         notes.append(Note("left out, pose cannot be used", f"{place}: {counted(n_unusable, 'pose')}"))
     if not moving or (len(moving) > 1 and kinds[topic] not in _TRANSFORMS):
         raise SourceError(f"{place}: has poses of {', '.join(moving) or 'no frame'}, expected those of one frame")
     return _along(moving, static, camera, place, notes, max_gap_s)
+
+
+def _messages(reader: Any, connections: list[Any]) -> Iterator[tuple[str, str, float, Any]]:
+    """Topic, type, time of reception and content of messages; of a Path, which repeats its poses, the last alone."""
+    path = None
+    for connection, received_ns, raw in reader.messages(connections=connections):
+        if connection.msgtype == _PATH:
+            path = connection, received_ns, raw
+        else:
+            content = reader.deserialize(raw, connection.msgtype)
+            yield connection.topic, connection.msgtype, received_ns / 1e9, content
+    if path is not None:
+        yield path[0].topic, _PATH, path[1] / 1e9, reader.deserialize(path[2], _PATH)
 
 
 def _along(moving: _Tree, static: _Tree, camera: str, place: str, notes: list[Note], max_gap_s: float) -> Trajectory:
