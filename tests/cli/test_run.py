@@ -5,42 +5,12 @@ import shutil
 import subprocess
 import sys
 
-import cv2
 import numpy as np
 import pytest
 
 from conformodal.io import read_recording
 from conformodal.io.pose_files import read_tum
-from conformodal.pipeline.results import read_trajectories
-from tests.helpers import invoke, refusal, run_ok
-
-
-@pytest.fixture(scope="module")
-def video(small_world, tmp_path_factory):
-    """The first 40 frames of the small world as a video."""
-    sequence = read_recording(small_world.folder)
-    path = tmp_path_factory.mktemp("video") / "flight.avi"
-    size = (sequence.camera.width, sequence.camera.height)
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, size)
-    for i in range(40):
-        writer.write(cv2.cvtColor(sequence.image(i), cv2.COLOR_RGB2BGR))
-    writer.release()
-    return path
-
-
-def test_a_truncated_video_keeps_what_came_before(small_world, video, tmp_path):
-    cut = tmp_path / "cut.avi"
-    cut.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
-    result = invoke("run", small_world.model, cut, "--out", tmp_path / "out")
-    assert result.exit_code == 3
-    assert "the file was cut off" in " ".join(result.output.split())
-    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
-    n = metrics["n_answered"]
-    assert 5 < n < 35
-    assert "cut off" in metrics["stopped"]
-    for trajectory in read_trajectories(tmp_path / "out").values():
-        assert len(trajectory) == n
-    assert "Stopped early" in (tmp_path / "out" / "report.html").read_text()
+from tests.helpers import refusal, run_ok
 
 
 def test_some_frames_of_a_part_are_not_exchangeable(small_world, tmp_path):

@@ -241,6 +241,7 @@ def world(small_world, tmp_path_factory):
 
 REFUSED = [
     "run m data --out m", "run m data --out data", "run m data --out mine", "train data --out data",
+    "run m data --out data/seq-01/out",    "train data --out data/out",
     "run m bad --out out --format images",
 ]  # fmt: skip
 

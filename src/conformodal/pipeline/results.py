@@ -349,17 +349,19 @@ def read_metrics(folder: Path) -> dict[str, Any]:
 def lock_output(folder: Path, command: str, apart: Iterable[Path] = ()) -> Iterator[None]:
     """Lock a folder for the results of a command, made if missing; no file of anything else would be overwritten.
 
-    Folders `apart` are read, and so must be others.
+    Folders `apart` are read; it must not be one of them, or in one.
 
     Raises
     ------
     FolderError
-        If it cannot be written, holds something that is not of this command, is in use, or is one of those that are
-        read.
+        If it cannot be written, holds something that is not of this command, is in use, or is, or lies in, one of those
+        that are read.
     """
     for other in apart:
-        if other.is_dir() and folder.exists() and folder.samefile(other):
-            raise FolderError(f"{folder}: is read from, so results cannot be written there; take another folder")
+        if other.is_dir() and folder.resolve().is_relative_to(other.resolve()):
+            raise FolderError(
+                f"{folder}: {other} is read from, so results cannot be written in it; take another folder"
+            )
     with writing_in(folder):
         owner = _owner(folder)
         if owner not in (None, command):

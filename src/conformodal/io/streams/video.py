@@ -22,7 +22,7 @@ from conformodal.io.reading import Note
 
 from .frames import Frame, SourceError, check_size
 
-_WHOLE = 0.98  # containers count frames roughly
+_COUNTED, _WHOLE = (".avi", ".mp4", ".mov", ".m4v"), 0.98  # other containers than these count frames roughly
 _MOST_DAMAGED = 30  # frames in a row; at its end a file fails for good
 _LISTS = (b"ffconcat", b"#EXTM3U", b"v=0", b"<?xml", b"<MPD")  # which lead to other files, or onto a network
 _UNTIMED = (".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg")  # pictures without a container
@@ -37,7 +37,8 @@ def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
     capture = cv2.VideoCapture(os.path.abspath(path))  # what stands before a colon is taken for a protocol
     try:
         if not capture.isOpened():
-            raise SourceError(f"{path}: cannot be opened as a video; a packed file must be unpacked first")
+            why = "is it cut off (an MP4 then lacks its index), or packed? Copy it again, or unpack it"
+            raise SourceError(f"{path}: cannot be opened as a video; {why}")
         yield capture
     finally:
         capture.release()
@@ -111,8 +112,9 @@ class VideoStream:
                 last_s, done, damaged = time_s, done + 1, 0
         if not done:
             raise SourceError(f"{self.path}: holds no frame that can be decoded as a video")
-        if self.n_frames and done < _WHOLE * self.n_frames - 1:
-            ends = f"{self.path}: ends after {done} of {self.n_frames} frames; was it cut off, or trimmed?"
+        exact = self.path.suffix.lower() in _COUNTED
+        if self.n_frames and done < (self.n_frames if exact else _WHOLE * self.n_frames - 1):
+            ends = f"{self.path}: ends after {done} of {self.n_frames} frames; was it cut off, trimmed or damaged?"
             warnings.warn(ends, DatasetWarning, stacklevel=2)
 
 
