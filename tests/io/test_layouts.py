@@ -117,6 +117,7 @@ def write_colmap(root):
     (root / "sparse" / "0" / "cameras.txt").write_text(
         "# cameras\n3 OPENCV 64 48 40 40 32.5 24.5 -0.1 0.02 0.001 0.002\n"
     )
+    (root / "metres-per-unit.txt").write_text("1\n")
     (root / "frame-rate.txt").write_text("10\n")
     return root
 
@@ -130,6 +131,7 @@ def write_nerf(root):
         frames.append({"file_path": f"./images/{i:04d}", "transform_matrix": opengl.tolist()})
     content = {"camera_angle_x": 2 * np.arctan(32 / 40), "cx": 32.5, "cy": 24.5, "frames": frames[::-1]}
     (root / "transforms.json").write_text(json.dumps(content))
+    (root / "metres-per-unit.txt").write_text("1\n")
     (root / "frame-rate.txt").write_text("10\n")
     return root
 

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.geometry import PinholeCamera
 from conformodal.io import DatasetError, FrameTable, Layout, Reader, read_recording, readers, registry
 from conformodal.io.pose_files import read_tum
+from tests.helpers import invoke
 
 from .test_layouts import PLACES, QUATS, WRITERS, N, matrices, picture
 
@@ -266,6 +267,25 @@ def test_frames_of_nerf_as_its_programs_write_them(tmp_path, how):
     if how == "training frames":
         (tmp_path / "transforms_test.json").write_text("{}")
     right(read_recording(tmp_path))
+
+
+@pytest.mark.parametrize("layout", [Layout.COLMAP, Layout.NERF])
+def test_models_have_units_of_their_own_unless_their_scale_is_given(tmp_path, layout):
+    folder = WRITERS[layout](tmp_path)
+    path = folder / "metres-per-unit.txt"
+    path.write_text("2.5\n")
+    scaled = read_recording(folder)
+    np.testing.assert_allclose(scaled.truth.positions_xyz, 2.5 * PLACES, atol=1e-9)
+    assert (scaled.unit, scaled.notes) == ("m", ())
+    path.unlink()
+    own = read_recording(folder)
+    assert (own.unit, [note.what for note in own.notes]) == ("units", ["the scale is its own"])
+    output = invoke("data", "check", folder).output
+    assert "units, path" in output
+    assert " m, path" not in output
+    path.write_text("-1\n")
+    with pytest.raises(DatasetError, match=r"metres-per-unit\.txt: holds \[-1\.0\]"):
+        read_recording(folder)
 
 
 # ---- images

@@ -164,7 +164,7 @@ def _report_check(checked: DatasetCheck) -> list[str]:
     poses = f"{checked.n_poses} of {counted(checked.n_frames, 'frame')}"
     if checked.extent_m is not None:
         sides = " x ".join(f"{side:.2f}" for side in checked.extent_m)
-        poses += f", all rigid motions; within {sides} m, path {checked.path_m:.2f} m"
+        poses += f", all rigid motions; within {sides} {checked.unit}, path {checked.path_m:.2f} {checked.unit}"
     report_line(f"frames: {checked.n_frames}{recordings}, {checked.width}x{checked.height}")
     report_line(f"time: {checked.duration_s:.2f} s, usually {checked.rate_hz:.2f} frames per second")
     report_line(f"poses: {poses}")

@@ -13,7 +13,7 @@ from .cameras import OF_LAYOUT, OTHER_CAMERA, SCALED, UNDISTORTED
 from .convention import fit_of_poses
 from .decoding import TURNED
 from .errors import ImageError
-from .frame_table import CONVERTED, INTERPOLATED
+from .frame_table import CONVERTED, INTERPOLATED, OWN_SCALE
 from .layouts.euroc import SHIFTED
 from .reading import by_what
 from .recording import Recording
@@ -22,7 +22,7 @@ from .recording import Recording
 _GAP, _JUMP = 3.0, 10.0
 _LEAST_JUMP_M = 0.05
 # What a reader did, and nothing that is wrong.
-_NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, TURNED, INTERPOLATED, CONVERTED, SHIFTED, OF_LAYOUT}
+_NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, TURNED, INTERPOLATED, CONVERTED, SHIFTED, OF_LAYOUT, OWN_SCALE}
 
 
 @dataclass
@@ -46,7 +46,7 @@ class DatasetCheck:
     duration_s, rate_hz
         From the first frame to the last, recordings apart; and the usual rate.
     extent_m, path_m
-        Size of the box around all positions, (3,), and length of the path; None without poses.
+        Size of the box around all positions, (3,), and length of the path, in `unit`; None without poses.
     findings
         Everything that is worth knowing.
     """
@@ -60,6 +60,7 @@ class DatasetCheck:
     rate_hz: float
     extent_m: list[float] | None
     path_m: float | None
+    unit: str
     findings: list[Finding] = field(default_factory=list)
 
 
@@ -108,6 +109,7 @@ def check_recording(sequence: Recording, progress: Callable[[int, int], None] | 
         rate_hz=round(1 / usual, 4) if usual > 0 else 0.0,
         extent_m=extent,
         path_m=path,
+        unit=sequence.unit,
         findings=findings,
     )
 

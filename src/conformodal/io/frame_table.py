@@ -25,10 +25,11 @@ from .cameras import uncalibrated_camera, undistort_to
 from .decoding import TURNED, common_size, image_fault, is_turned, refuse_few_bits
 from .errors import DatasetError, DatasetWarning
 from .pose_files import Faults, PoseRows
-from .reading import Note, by_what
+from .reading import Note, by_what, read_numbers
 from .recording import Recording
 
 NO_POSE = "no pose"
+OWN_SCALE, METRES_PER_UNIT = "the scale is its own", "metres-per-unit.txt"
 INTERPOLATED, CONVERTED = "poses are interpolated", "times are converted to seconds"
 DOUBTFUL, _UNUSABLE = "poses are doubtful", "pose cannot be used"
 _USUAL_STEP_S, _FASTEST_MPS = (5e-4, 5.0), 150.0
@@ -63,6 +64,8 @@ class FrameTable:
         The folder in which images must lie; None where their names come from listing it.
     source
         The file that names images, or where poses or a camera were looked for, for messages.
+    unit
+        Of positions: metres, or units of the data's own.
     as_stored
         Whether poses and cameras are of images as they are stored, whatever EXIF says of their orientation.
     """
@@ -79,6 +82,20 @@ class FrameTable:
     root: Path | None = None
     source: Path | str = ""
     as_stored: bool = False
+    unit: str = "m"
+
+    def scale_by(self, folder: Path) -> None:
+        """Bring positions of another unit to metres by ``metres-per-unit.txt``; without it, they keep their own."""
+        path = folder / METRES_PER_UNIT
+        if not path.is_file():
+            self.unit = "units"
+            where = f"{self.source}: lengths are in its units wherever 'm' is written; {path} scales them"
+            self.notes.append(Note(OWN_SCALE, where))
+            return
+        scale = read_numbers(path)
+        if self.poses is None or scale.size != 1 or not 0 < scale[0] < np.inf:
+            raise DatasetError(f"{path}: holds {scale[:9].tolist()}, expected the metres of one unit of the poses")
+        self.poses[:, :3] *= scale[0]
 
     def to_recording(
         self, *, require_poses: bool = True, follow_outside: bool = False, focal: float | Literal["auto"] | None = None
@@ -127,6 +144,7 @@ class FrameTable:
             camera=camera,
             poses=Trajectory(times[with_pose], rows[with_pose, :3], rows[with_pose, 3:]) if with_pose.size else None,
             given_test=None if self.given_test is None else self.given_test[kept],
+            unit=self.unit,
         )
         notes += _unlikely(recording)
         for what, places in by_what(notes).items():

@@ -54,6 +54,8 @@ class Recording:
         (n,) whether the data set's own lists name a frame for testing; None if it has no lists.
     notes
         What is wrong or unusual: frames that were left out, frames without poses, a camera that is unlikely.
+    unit
+        Of positions: metres, or units of the data's own.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Recording:
     noise: ImageChange | None = None
     given_test: BoolArray | None = None
     notes: tuple[Note, ...] = ()
+    unit: str = "m"
 
     def __post_init__(self) -> None:
         n = len(self.image_paths)
@@ -164,4 +167,5 @@ def join_recordings(sequences: Sequence[Recording], given_test: Sequence[bool] |
         noise=first.noise,
         given_test=None if all(part.given_test is None for part in parts) else np.concatenate(listed),
         notes=tuple(notes),
+        unit=first.unit,
     )

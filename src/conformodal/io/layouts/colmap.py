@@ -84,8 +84,9 @@ def read_colmap(folder: Path) -> FrameTable:
     The folder has ``images`` (or the images themselves) and the model in it, in ``sparse``, ``sparse/0`` or ``text``;
     or it is the model's own, with ``images`` above it. Of several models the one of most images is read. Images in
     ``images`` that the model does not name are frames without a pose; folders in it are recordings. Times are those of
-    ``times.txt`` (seconds, one per line), or else even (``frame-rate.txt`` in Hz, or 30). The scale is the model's own.
-    Images of fisheye lenses and of other cameras than most have are brought to that, once.
+    ``times.txt`` (seconds, one per line), or else even (``frame-rate.txt`` in Hz, or 30). The scale is the model's
+    own, unless ``metres-per-unit.txt`` gives one. Images of fisheye lenses and of other cameras than most have
+    are brought to that, once.
     """
     notes: list[Note] = []
     models = [_binary_model(place) if _holds(place, "bin") else _text_model(place) for place in model_folders(folder)]
@@ -126,6 +127,7 @@ def read_colmap(folder: Path) -> FrameTable:
     sound = np.isfinite(poses).all(axis=(1, 2))
     poses[sound] = np.linalg.inv(poses[sound])
     table.poses, table.why = table_of(poses), to_camera.faults
+    table.scale_by(folder)
     return table
 
 

@@ -40,7 +40,8 @@ def read_nerf(folder: Path) -> FrameTable:
     """Read the frames of ``transforms.json``, or else of ``transforms_train.json``, in the order of their file names.
 
     They share one camera. Times are those of ``times.txt`` (seconds, one per line), or else even (``frame-rate.txt``
-    in Hz, or 30). World and scale are the file's own. Fisheye images are undistorted, once.
+    in Hz, or 30). World and scale are the file's own, unless
+    ``metres-per-unit.txt`` gives one. Fisheye images are undistorted, once.
     """
     path = transforms_file(folder) or folder / FILES[0]
     notes: list[Note] = []
@@ -70,6 +71,7 @@ def read_nerf(folder: Path) -> FrameTable:
     table = FrameTable(folder.name, images, times, lens, rows, recording, notes=notes)
     table.why = {i: f"{path}: transform_matrix {fault}" for i, fault in faults.items()}
     table.root, table.source, table.as_stored = folder, path, True
+    table.scale_by(folder)
     return table
 
 
