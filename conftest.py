@@ -80,6 +80,8 @@ def small_world(small_corridor: Path) -> SmallWorld:
 
     root = small_corridor.parent
     arguments = ["train", small_corridor, "--out", root / "model", "--cache", root / "cache"]
-    result = CliRunner().invoke(app, [str(a) for a in arguments] + ["--split", "interleaved", "--epochs", "25", "--alpha", "0.2"])
+    result = CliRunner().invoke(
+        app, [str(a) for a in arguments] + ["--split", "interleaved", "--epochs", "25", "--alpha", "0.2"]
+    )
     assert result.exit_code == 0, result.output
     return SmallWorld(small_corridor, root / "cache", root / "model")

@@ -14,6 +14,7 @@ from conformodal.localizer.sources.head import HeadSource
 from conformodal.localizer.sources.registry import SourceAnswer, SourceState, find_source, register_source
 from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.store import ModelFileError, load_model, save_model
+from tests.small_model import small_model
 
 
 def same_answers(one, other):
@@ -96,7 +97,7 @@ class MeanSource:
         return cls(state.arrays["place"], state.arrays["frames"], state.settings["probability"])
 
 
-def test_a_source_of_ones_own_is_fitted_believed_saved_and_loaded(data_of, small_world, tmp_path, monkeypatch):
+def test_a_source_of_ones_own_is_fitted_believed_saved_and_loaded(data_of, tmp_path, monkeypatch):
     monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))  # known in this test alone
     assert register_source(MeanSource) is MeanSource  # also a decorator
     data, frames = data_of(100), np.arange(80)
@@ -109,7 +110,11 @@ def test_a_source_of_ones_own_is_fitted_believed_saved_and_loaded(data_of, small
         assert masses[~mixture.measured].sum() / masses.sum() == pytest.approx(
             0.75, rel=1e-2
         )  # but for modes too improbable to keep
-    model = load_model(small_world.model)
+    model = small_model()
+    localizer = replace(model.localizer, sources=(model.localizer.sources[0], localizer.sources[1]))
+    features = np.random.default_rng(0).normal(size=(5, model.backbone.n_features))
+    evidence = FrameEvidence(features.astype(np.float32))
+    beliefs = localizer.beliefs(evidence)
     with pytest.raises(OdometryError, match="no source uses them"):
         replace(model, localizer=localizer)
     rules = replace(model.rules, recognised=None, disturbed=None)

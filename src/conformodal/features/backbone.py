@@ -87,6 +87,7 @@ class Backbone:
             self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
             shape = self._session.get_inputs()[0].shape[1:]
             names = [node.name for node in (*self._session.get_inputs(), *self._session.get_outputs())]
+            size = self._session.get_outputs()[0].shape[-1]
         except Exception as exc:  # ONNX Runtime raises classes of its own, without a common one
             raise VisionError(f"the network is not an ONNX file that ONNX Runtime reads: {exc}") from exc
         if names != [INPUT, OUTPUT] or shape != [config.height, config.width, 3]:
@@ -94,6 +95,11 @@ class Backbone:
                 f"the network must have the input {INPUT!r} (n, {config.height}, {config.width}, 3) and the output "
                 f"{OUTPUT!r}, got {names} and {shape}"
             )
+        rows, columns = config.grid
+        if not isinstance(size, int) or size % (rows * columns):
+            raise VisionError(f"the network must give maps of grid {rows} x {columns}, got {size} features")
+        self.n_features = size + _PICTURE
+        self.n_coarse = size // (rows * columns) * ((rows + 1) // 2) * ((columns + 1) // 2)
 
     def maps(self, images: UInt8Array) -> Float32Array:
         """The network's features (n, channels * rows * columns) of images (n, h, w, 3) of the input size.

@@ -7,10 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
+from conformodal.core.ranges import Range
+from conformodal.core.schema import ListOf
 
 from .poses import PoseError
 
 NO_FLOW = np.zeros((2, 3))
+_FOCAL, _CENTRE, _SIDE = Range(0, 1e6, "(]"), Range(-1e6, 1e6), Range(1, 100_000, whole=True)
+# a camera in a saved model, see conformodal.core.schema.check_json
+CAMERA_JSON = {
+    "fx": _FOCAL,
+    "fy": _FOCAL,
+    "cx": _CENTRE,
+    "cy": _CENTRE,
+    "width": _SIDE,
+    "height": _SIDE,
+    "distortion": ListOf(Range(-1e3, 1e3), least=0),
+}
 
 
 @dataclass(frozen=True)

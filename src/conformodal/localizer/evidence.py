@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 
 from conformodal.core.arrays import BoolArray, Float32Array, FloatArray
+from conformodal.core.ranges import Range
 from conformodal.features.backbone import coarse_features
 from conformodal.features.local import LocalFeatures
 from conformodal.geometry.adjustment import MEDIAN_OF_NORM3, TAIL_OF_NORM3
@@ -97,6 +98,13 @@ class ErrorModel:
     def from_json(cls, record: dict[str, Any]) -> Self:
         """The model from its fields, as JSON stores them."""
         return cls(**{**record, "slopes": tuple(record["slopes"])})
+
+    @staticmethod
+    def json_schema(n_support: int) -> dict[str, Any]:
+        """What these fields must be, see :func:`~conformodal.core.schema.check_json`."""
+        power = {"": Range(0, 1e9, "(]"), "_growth": Range(0, _MAX_GROWTH), "_distance": Range(0, _MAX_GROWTH)}
+        powers = {what + name: allowed for what in ("position", "rotation") for name, allowed in power.items()}
+        return {**powers, "log_odds": Range(-1e3, 1e3), "slopes": [Range(0, 1e3)] * n_support}
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,12 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from copy import copy
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from safetensors import SafetensorError
@@ -20,43 +22,121 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from conformodal.conformal import ConformodalError, NoveltyTest, QuantileBins, SplitConformal
+from conformodal.conformal.calibrators.base import Joint
 from conformodal.core.arrays import AnyArray
 from conformodal.core.extras import MissingPackageError
 from conformodal.core.files import read_file, write_whole
+from conformodal.core.ranges import RANGES, Range
+from conformodal.core.schema import ArraySpec, ListOf, check_arrays, check_json
 from conformodal.core.words import finite_or_none
 from conformodal.features.backbone import Backbone, BackboneConfig
 from conformodal.features.local import QualityRange
 from conformodal.geometry import PinholeCamera
-from conformodal.io import Split
+from conformodal.geometry.camera import CAMERA_JSON
+from conformodal.io import Split, SplitKind
+from conformodal.localizer.candidates import TARGET_NAMES
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import MotionPrior
-from conformodal.localizer.radius import PoseRadius
+from conformodal.localizer.radius import Guarantee, PoseRadius
 from conformodal.localizer.regions import PlaceNovelty, RegionRules
 from conformodal.localizer.sources.registry import SourceState, find_source
 
+from .config import Method
 from .expected_input import ExpectedInput
 from .identity import FrameIdentities
-from .model import PATHS, PoseModel, SourceComparison, path_rule
+from .model import METHODS, PATHS, PoseModel, SourceComparison, path_rule
 
-FORMAT = "conformodal-model-21"
+FORMAT = "conformodal-model-22"
 _JSON = "model.json"
 _FILES = {"weights": "weights-{}.safetensors", "network": "network-{}.onnx"}  # with the first digits of their digests
 # what reading damaged files raises: ValueError is every error of this package too, RuntimeError JSON without end
 _DAMAGE = (SafetensorError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError, RuntimeError)
 _PARTS = ("train", "calibration", "test")
-# Arrays by name: kind of their numbers, and dimensions. A star stands for a number or a path; pose sources check their
-# own.
-_ARRAYS = {
-    "bins.*": ("f", 1), "cells.*": ("f", 1), "split.*": ("i", 1), "sign_reference": ("f", 1),
-    "frames.files": ("u", 2), "frames.poses": ("f", 2),
-    "calibration.scores": ("f", 2), "calibration.known_p": ("f", 1), "calibration.recognised": ("b", 1),
-    "calibration.units": ("i", 1), "calibration.loc": ("f", 1), "calibration.scale": ("f", 1),
-    "path.*.scores": ("f", 1), "path.*.units": ("i", 1), "path.*.sizes": ("i", 1),
-    "novelty.references": ("f", 2), "novelty.units": ("i", 1),
-    "matched.scores": ("f", 1), "matched.units": ("i", 1), "disturbed.novelty": ("f", 1), "disturbed.units": ("i", 1),
-    "disturbed.scores": ("f", 2), "disturbed.known_p": ("f", 1), "quality": ("f", 2),
-    "colours": ("f", 1),
-}  # fmt: skip
+_ARRAYS: dict[str, ArraySpec] = {  # of a model; those of its sources are theirs, see SourceState.check
+    "frames.files": ArraySpec("B", ("n_frames", 16), "anything"),
+    **{f"bins.{j}": ArraySpec("d", (f"edges of target {j}",), "increasing") for j in range(len(TARGET_NAMES))},
+    **{f"split.{part}": ArraySpec("lq", (part,), "increasing", below="n_frames") for part in _PARTS},
+    "sign_reference": ArraySpec("d", (4,), "not all zero"),
+    "frames.poses": ArraySpec("d", ("n_frames", 7), "finite or NaN"),
+    "colours": ArraySpec("d", ("colours",)),
+    "calibration.scores": ArraySpec("fd", ("n", 7), "finite or infinite"),
+    "calibration.known_p": ArraySpec("d", ("n",), "probabilities or NaN"),
+    "calibration.recognised": ArraySpec("?", ("n",), "anything"),
+    "calibration.units": ArraySpec("lq", ("n",), "anything"),
+    "calibration.loc": ArraySpec("d", (7,)),
+    "calibration.scale": ArraySpec("d", (7,), "positive"),
+    "novelty.references": ArraySpec("efd", ("references", "n_coarse")),
+    "novelty.units": ArraySpec("lq", ("references",), "anything"),
+    "matched.scores": ArraySpec("d", ("matched",), "finite or infinite"),
+    "matched.units": ArraySpec("lq", ("matched",), "anything"),
+    "disturbed.novelty": ArraySpec("d", ("disturbed",), "finite or infinite"),
+    "disturbed.units": ArraySpec("lq", ("disturbed",), "anything"),
+    "disturbed.scores": ArraySpec("fd", ("disturbed", 7), "finite or infinite"),
+    "disturbed.known_p": ArraySpec("d", ("disturbed",), "probabilities or NaN"),
+    "quality": ArraySpec("d", (2, 3)),
+}
+for _path_name in PATHS:
+    _rows = (f"frames of path {_path_name}?",)
+    _ARRAYS |= {
+        f"path.{_path_name}.scores": ArraySpec("fd", _rows, "finite or infinite"),
+        f"path.{_path_name}.units": ArraySpec("lq", _rows, "anything"),
+        f"path.{_path_name}.sizes": ArraySpec("lq", _rows, "positive"),
+    }
+_RATE, _SHARE, _POSITIVE = Range(0, 1, "()"), Range(0, 1), Range(0, 1e9, "(]")
+_COUNT, _SIDE = Range(0, 10**9, whole=True), Range(1, 100_000, whole=True)
+_RECORD: dict[str, Any] = {  # the content of model.json, without its digest
+    "format": str,
+    "backbone": {
+        "name": str,
+        "block": (None, _COUNT),
+        "width": _SIDE,
+        "height": _SIDE,
+        "grid": [_SIDE, _SIDE],
+    },
+    "sources": ListOf({"name": str, "settings": dict}),
+    "calibration": {
+        "alpha": _RATE,
+        "score": str,
+        "joint": {*get_args(Joint)},
+        "novelty_level": Range(0, 1, "[)"),
+    },
+    "prior": {
+        "turn_rate_rad_s": _POSITIVE,
+        "intervals_s": ListOf(_POSITIVE),
+        "top_speed_mps": ListOf(_POSITIVE),
+        "acceleration_density": ListOf(_POSITIVE),
+        "depth_m": (None, _POSITIVE),
+        "depth_spread": (None, Range(0, 1e9)),
+        "volume_m3": _POSITIVE,
+    },
+    "camera": CAMERA_JSON,
+    "split": {"kind": SplitKind, "seed": RANGES["seed"]},
+    "step_s": _POSITIVE,
+    "configuration": {"method": Method, "data": str, ...: object},
+    "radius": (
+        None,
+        {
+            "radius_rad": (None, Range(0, 1e9)),
+            "alpha": _RATE,
+            "guarantee": Guarantee,
+            "method": {*METHODS},
+            "n_recordings": _COUNT,
+            "metres_per_rad": _POSITIVE,
+        },
+    ),
+    "comparison": (
+        None,
+        {
+            "n_frames": Range(1, 10**9, whole=True),
+            "n_both": _COUNT,
+            "n_model_only": _COUNT,
+            "n_folds_only": _COUNT,
+            "larger": _SHARE,
+        },
+    ),
+    "weights": str,
+    "network": str,
+}
 
 
 class ModelFileError(ConformodalError):
@@ -73,7 +153,6 @@ def save_model(model: PoseModel, folder: Path) -> None:
     record: dict[str, Any] = {
         "format": FORMAT,
         "backbone": asdict(model.backbone.config),
-        "backbone_fingerprint": model.backbone.fingerprint,
         "sources": [{"name": name, "settings": state.settings} for name, state in states.items()],
         "calibration": {
             "alpha": model.alpha,
@@ -119,7 +198,6 @@ def _arrays(model: PoseModel) -> dict[str, AnyArray | None]:
     loc, scale = overall.scales() if overall.joint == "max" else (None, None)
     arrays: dict[str, AnyArray | None] = {
         **{f"bins.{j}": edges for j, edges in enumerate(model.bins.edges_)},
-        **{f"cells.{j}": edges for j, edges in enumerate(overall.bins.edges_)},
         **{f"split.{part}": model.split.part(part) for part in _PARTS},
         "sign_reference": model.sign_reference,
         "frames.files": model.known_frames.files,
@@ -157,9 +235,8 @@ def load_model(folder: Path | str) -> PoseModel:
     folder = Path(folder)
     try:
         record = _read_record(folder / _JSON)
-        arrays = load_tensors(_read(folder, "weights", record))
-        _check_arrays(arrays)
-        return _assemble(record, arrays, folder)
+        check_json(record, _RECORD, _JSON)
+        return _assemble(record, load_tensors(_read(folder, "weights", record)), folder)
     except (ModelFileError, MissingPackageError):
         raise
     except _DAMAGE as exc:
@@ -201,51 +278,70 @@ def _read(folder: Path, name: str, record: dict[str, Any]) -> bytes:
     return content
 
 
-def _check_arrays(arrays: dict[str, AnyArray]) -> None:
-    """Refuse arrays that a model does not have, and others than it has."""
-    for name, array in arrays.items():
-        group, *rest = name.split(".")
-        expected = _ARRAYS.get(name) or _ARRAYS.get(".".join([group, "*", *rest[1:]]))
-        if group != "source" and expected != (array.dtype.kind, array.ndim):
-            raise TypeError(f"array {name} is {array.dtype} {array.shape}, expected {expected}")
-
-
 def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path) -> PoseModel:
-    if record["network"] is None:
-        raise ModelFileError(f"{folder}: holds no network in ONNX. Train the model again")
-    backbone, stated, split, radius = (record[name] for name in ("backbone", "calibration", "split", "radius"))
-    config = BackboneConfig(**{**backbone, "grid": tuple(backbone["grid"])})
-    edges = {
-        kind: [arrays[f"{kind}.{j}"] for j in range(sum(name.startswith(f"{kind}.") for name in arrays))]
-        for kind in ("bins", "cells")
-    }
+    stated, split, radius, comparison = (record[name] for name in ("calibration", "split", "radius", "comparison"))
+    grid = rows, columns = tuple(record["backbone"]["grid"])
+    config = BackboneConfig(**record["backbone"] | {"grid": grid})
+    with _naming("backbone"):
+        backbone = Backbone(config, _read(folder, "network", record))
+    sizes = {"n_features": backbone.n_features, "n_coarse": backbone.n_coarse, "n_rows": rows, "n_columns": columns}
+    check_arrays({k: v for k, v in arrays.items() if not k.startswith("source.")}, _ARRAYS, sizes)
+    bins = QuantileBins.from_edges([arrays[f"bins.{j}"] for j in range(len(TARGET_NAMES))])
+    sizes["n_bins"] = sum(bins.sizes)
     sources = []
-    for source in record["sources"]:
+    for number, source in enumerate(record["sources"]):
         start = f"source.{source['name']}."
         mine = {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
-        sources.append(find_source(source["name"]).from_state(SourceState(mine, source["settings"])))
-    novelty = _novelty(arrays, config.grid)
-    rules = _rules(QuantileBins.from_edges(edges["cells"]), stated, arrays, novelty)
+        with _naming(f"sources.{number}"):
+            state = SourceState(mine, source["settings"], sizes, bins.sizes)
+            sources.append(find_source(source["name"]).from_state(state))
+    localizer = Localizer(tuple(sources), bins, arrays["sign_reference"])
+    paper = record["configuration"]["method"] == Method.PAPER
+    with _naming("novelty"):
+        novelty = _novelty(arrays, config.grid)
+    with _naming("calibration"):
+        rules = _rules(bins if paper else localizer.cells, stated, arrays, novelty)
+    with _naming("path"):
+        path_rules = {path: _path_rule(rules, arrays, path) for path in PATHS if f"path.{path}.scores" in arrays}
     if radius is not None and radius["radius_rad"] is None:
         radius["radius_rad"] = math.inf
-    prior: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in record["prior"].items()}
-    prior |= {k: math.nan for k in ("depth_m", "depth_spread") if prior[k] is None}
     return PoseModel(
-        backbone=Backbone(config, _read(folder, "network", record)),
-        localizer=Localizer(tuple(sources), QuantileBins.from_edges(edges["bins"]), arrays["sign_reference"]),
+        backbone=backbone,
+        localizer=localizer,
         novelty=novelty,
         rules=rules,
-        prior=MotionPrior(**prior),
+        prior=_prior(record["prior"]),
         camera=PinholeCamera(**record["camera"]),
         split=Split(split["kind"], split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
         known_frames=FrameIdentities(arrays["frames.files"], arrays["frames.poses"]),
         expected_input=ExpectedInput(float(record["step_s"]), arrays["colours"]),
         configuration=record["configuration"],
         radius=None if radius is None else PoseRadius(**radius),
-        comparison=None if record["comparison"] is None else SourceComparison(**record["comparison"]),
-        path_rules={path: _path_rule(rules, arrays, path) for path in PATHS if f"path.{path}.scores" in arrays},
+        comparison=None if comparison is None else SourceComparison(**comparison),
+        path_rules=path_rules,
         quality=QualityRange(*arrays["quality"]) if "quality" in arrays else None,
     )
+
+
+@contextmanager
+def _naming(part: str) -> Iterator[None]:
+    """Name the part of a model that cannot be restored."""
+    try:
+        yield
+    except ModelFileError:
+        raise
+    except ConformodalError as exc:
+        if isinstance(exc, MissingPackageError):
+            raise
+        raise ConformodalError(f"{part}: {exc}") from exc
+
+
+def _prior(record: dict[str, Any]) -> MotionPrior:
+    table = [record[name] for name in ("intervals_s", "top_speed_mps", "acceleration_density")]
+    if len({len(column) for column in table}) > 1 or (np.diff(table[0]) <= 0).any():
+        raise ConformodalError(f"prior.intervals_s must increase, with as many speeds and densities, got {table}")
+    prior: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in record.items()}
+    return MotionPrior(**prior | {k: math.nan for k in ("depth_m", "depth_spread") if prior[k] is None})
 
 
 def _rules(
@@ -267,7 +363,7 @@ def _rules(
 def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], path: str) -> SplitConformal:
     rule = path_rule(rules.overall.bins, rules.overall.alpha)
     scores = np.repeat(arrays[f"path.{path}.scores"][:, None], rule.bins.n_targets, axis=1)
-    return rule.calibrate_scores(scores, *(arrays.get(f"path.{path}.{name}") for name in ("units", "sizes")))
+    return rule.calibrate_scores(scores, *(arrays[f"path.{path}.{name}"] for name in ("units", "sizes")))
 
 
 def _novelty(arrays: dict[str, AnyArray], grid: tuple[int, int]) -> PlaceNovelty | None:

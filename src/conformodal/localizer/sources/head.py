@@ -10,10 +10,23 @@ import numpy as np
 from conformodal.core.arrays import IntArray
 from conformodal.core.extras import require_extra
 from conformodal.core.progress import stage_of
+from conformodal.core.schema import ArraySpec
 from conformodal.features.head import SoftmaxHead
 from conformodal.localizer.evidence import FrameEvidence
 
 from .registry import SourceAnswer, SourceData, SourceState, register_source
+
+_ARRAYS = {
+    "offset": ArraySpec("f", ("n_features",)),
+    "components": ArraySpec("f", ("n_features", "k")),
+    "trunk.1.weight": ArraySpec("f", ("hidden", "k")),
+    "trunk.1.bias": ArraySpec("f", ("hidden",)),
+    "trunk.2.weight": ArraySpec("f", ("hidden",)),
+    "trunk.2.bias": ArraySpec("f", ("hidden",)),
+    "output.weight": ArraySpec("f", ("n_bins", "hidden")),
+    "output.bias": ArraySpec("f", ("n_bins",)),
+}
+_SCALES, _OF_SCALES = ArraySpec("f", ("n_features",)), ArraySpec("f", ("hidden", "n_features"))
 
 
 @register_source
@@ -50,12 +63,13 @@ class HeadSource:
         return SourceAnswer(proba=self.head.predict_proba(evidence.features))
 
     def state(self) -> SourceState:
-        """The head's weights and shape."""
-        settings = {"hidden": self.head.hidden, "outputs": list(self.head.outputs)}
-        return SourceState({"frames": self.frames, **self.head.weights}, settings)
+        """The head's weights."""
+        return SourceState({"frames": self.frames, **self.head.weights})
 
     @classmethod
     def from_state(cls, state: SourceState) -> Self:
         """The stored source."""
+        scaled = state.arrays["components"].ndim == 1  # without principal components
+        state.check(_ARRAYS | ({"components": _SCALES, "trunk.1.weight": _OF_SCALES} if scaled else {}), {})
         weights = {k: v for k, v in state.arrays.items() if k != "frames"}
-        return cls(SoftmaxHead(weights, state.settings["outputs"]), state.arrays["frames"])
+        return cls(SoftmaxHead(weights, state.bins), state.arrays["frames"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import ClassVar, Self
 
@@ -16,11 +16,17 @@ from scipy.spatial.transform import Rotation
 from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array, evenly_spread
 from conformodal.core.parallel import in_threads
 from conformodal.core.progress import Progress, stage_of
+from conformodal.core.ranges import Range
+from conformodal.core.schema import ArraySpec
 from conformodal.features.backbone import at_unit_length
 from conformodal.features.local import LocalFeatures, Matcher, match
 from conformodal.geometry import PinholeCamera, Trajectory, angle_between_quats, cross_matrices, rigid_motions
 from conformodal.geometry.adjustment import MEDIAN_OF_NORM2
+from conformodal.geometry.camera import CAMERA_JSON
+from conformodal.geometry.poses import rotation_faults
 from conformodal.geometry.triangulation import nearest_kilometres
+from conformodal.io import THUMBNAIL
+from conformodal.localizer import LocalizationError
 from conformodal.localizer.evidence import (
     LEAST_ESTIMATES,
     ErrorModel,
@@ -33,10 +39,23 @@ from conformodal.localizer.evidence import (
 from .mapping import triangulate_frames, view_overlap
 from .registry import SourceAnswer, SourceData, SourceState, register_source
 
-_ARRAYS = (
-    "T_pose_cam", "shutter", "origin_xyz", "poses_se3", "global_descriptors", "starts", "points_xyz", "descriptors",
-    "corrections",
-)  # fmt: skip
+_ARRAYS = {
+    "T_pose_cam": ArraySpec("d", (4, 4)),
+    "shutter": ArraySpec("d", (2,)),
+    "origin_xyz": ArraySpec("d", (3,)),
+    "poses_se3": ArraySpec("d", ("n_keyframes", 4, 4)),
+    "global_descriptors": ArraySpec("e", ("n_keyframes", "n_coarse")),
+    "starts": ArraySpec("lq", ("n_starts",)),
+    "points_xyz": ArraySpec("f", ("n_landmarks", 3)),
+    "descriptors": ArraySpec("B", ("n_landmarks", 32), "anything"),
+    "corrections": ArraySpec("d", ("n_keyframes", 6), "finite or NaN"),
+}
+_SETTINGS = {
+    "camera": CAMERA_JSON,
+    "depth_m": Range(0, 1e9, "(]"),
+    "errors": ErrorModel.json_schema(n_support=3),
+    "grid": (None, [Range(1, whole=True)] * 2),
+}
 _MAX_KEYFRAMES = 1000
 _LEFT_OUT = 100  # keyframes that the error model is learnt from
 # Keyframes whose view overlaps by more than this are hidden from a left-out one, so that hardly anything it sees is
@@ -345,10 +364,21 @@ class LandmarkSource:
     @classmethod
     def from_state(cls, state: SourceState) -> Self:
         """The source that was stored."""
-        settings = state.settings
+        settings, grid = state.settings, state.settings.get("grid")
+        thumbnails = {"n_coarse": THUMBNAIL[0] * THUMBNAIL[1]} if grid is None else {}
+        replace(state, sizes=state.sizes | thumbnails).check(_ARRAYS, _SETTINGS)
         arrays = {k: state.arrays[k] for k in _ARRAYS}
+        if grid is not None and grid != [state.sizes.get("n_rows", grid[0]), state.sizes.get("n_columns", grid[1])]:
+            raise LocalizationError(f"settings.grid is {grid}, another one than that of the network")
+        starts, n = arrays["starts"], [len(arrays[name]) for name in ("poses_se3", "points_xyz")]
+        if len(starts) != n[0] + 1 or starts[0] != 0 or starts[-1] != n[1] or (np.diff(starts) < 0).any():
+            raise LocalizationError(f"array starts must lead {n[0]} keyframes from 0 to {n[1]} landmarks")
+        for name in ("poses_se3", "T_pose_cam"):
+            motions = arrays[name].reshape(-1, 4, 4)
+            if rotation_faults(motions[:, :3, :3]) or not np.allclose(motions[:, 3], (0, 0, 0, 1)):
+                raise LocalizationError(f"array {name} must hold rigid motions")
         mapped = LandmarkMap(camera=PinholeCamera(**settings["camera"]), depth_m=float(settings["depth_m"]), **arrays)
-        grid = None if settings["grid"] is None else tuple(settings["grid"])
+        grid = None if grid is None else tuple(grid)
         return cls(mapped, state.arrays["frames"], ErrorModel.from_json(settings["errors"]), grid)
 
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
-from typing import ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from conformodal.core.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray, evenly_spread
+from conformodal.core.ranges import Range
+from conformodal.core.schema import ArraySpec
 from conformodal.features.backbone import feature_views
 from conformodal.features.head import Projection, fit_projection
 from conformodal.geometry import angle_between_quats, normalise_quat
@@ -32,6 +34,26 @@ _USUAL = 0.9  # quantile of the novelty of left-out frames above which standard 
 _DISTRUST = 4.0  # exponent with which the odds of an inlier fall above that
 _LEFT_OUT = 800  # frames that settings are chosen on, at most
 _SCREENED, _FINALISTS = 200, 8  # of these, that all settings are tried on; settings that are tried on all of them
+
+_ARRAYS = {
+    "references": ArraySpec("f", ("m", "k")),
+    "targets": ArraySpec("d", ("m", 7)),
+    "target_scale": ArraySpec("d", (7,), "positive"),
+    "offset": ArraySpec("f", ("n_features",)),
+    "components": ArraySpec("f", ("n_features", "k")),
+}
+_COUNT, _POSITIVE = Range(1, 1_000_000, whole=True), Range(0, 1e9, "(]")
+_SETTINGS: dict[str, Any] = {
+    "regression": {
+        "components": _COUNT,
+        "neighbours": _COUNT,
+        "ridge": Range(0, 1e9),
+        "radius": (None, _POSITIVE),
+    },
+    "errors": ErrorModel.json_schema(n_support=1),
+    "typical": _POSITIVE,
+    "limit": _POSITIVE,
+}
 
 
 class LocalSettings(NamedTuple):
@@ -264,6 +286,7 @@ class NeighbourSource:
     @classmethod
     def from_state(cls, state: SourceState) -> Self:
         """The source that was stored."""
+        state.check(_ARRAYS, _SETTINGS)
         arrays, settings = dict(state.arrays), state.settings
         frames, projection = arrays.pop("frames"), Projection(arrays.pop("offset"), arrays.pop("components"))
         regression = LocalRegression(projection, settings=LocalSettings(**settings["regression"]), **arrays)

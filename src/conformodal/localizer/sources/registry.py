@@ -19,6 +19,7 @@ from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import AnyArray, Float32Array, FloatArray, IntArray, RealArray
 from conformodal.core.parallel import in_threads
 from conformodal.core.progress import StageProgress, stage_of
+from conformodal.core.schema import ArraySchema, ArraySpec, check_arrays, check_json
 from conformodal.features.backbone import at_unit_length, coarse_features, feature_views
 from conformodal.features.head import Projection, fit_projection
 from conformodal.features.local import LocalFeatures, Matcher
@@ -97,12 +98,26 @@ class SourceAnswer:
     measurements: Sequence[Sequence[PoseMeasurement]] = ()  # image by image; of several of one, at most one is right
 
 
+FRAMES = ArraySpec("lq", ("m",), "increasing", below="n_frames")
+
+
 @dataclass(frozen=True, eq=False)
 class SourceState:
     """A source as it is stored: arrays, and settings that are JSON."""
 
     arrays: dict[str, AnyArray]
     settings: dict[str, Any] = field(default_factory=dict)
+    # of the model for which it is restored: n_frames of its data; n_rows and n_columns of the network's map, n_features
+    # and n_coarse features; n_bins of all targets
+    sizes: dict[str, int] = field(default_factory=dict)
+    bins: Sequence[int] = ()  # of each target of that model
+
+    def check(self, arrays: ArraySchema, settings: dict[str, Any]) -> None:
+        """Refuse what does not follow the schemas, see :mod:`conformodal.core.schema`, or does not fit the model."""
+        check_json(self.settings, settings, "settings")
+        check_arrays(self.arrays, {"frames": FRAMES, **arrays}, dict(self.sizes))
+        for name in {"frames", *arrays} - self.arrays.keys():
+            raise LocalizationError(f"array {name} is missing")
 
 
 class PoseSource(Protocol):
@@ -131,7 +146,7 @@ class PoseSource(Protocol):
 
     @classmethod
     def from_state(cls, state: SourceState) -> Self:
-        """The source that was stored."""
+        """The source that was stored; refuses, by :meth:`SourceState.check`, a state that it could not work with."""
         ...
 
 

@@ -1,0 +1,167 @@
+"""Whoever alters a saved model, digests and all, gets an error that names what does not fit, or an answer."""
+
+import hashlib
+import json
+from copy import deepcopy
+
+import numpy as np
+import pytest
+from safetensors.numpy import load, save
+
+from conformodal.conformal import ConformodalError
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.store import ModelFileError, _digest, load_model, save_model
+from tests.small_model import image, small_model
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """The folder of a saved model with few cells, its record and its arrays."""
+    folder = tmp_path_factory.mktemp("small")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("conformodal.localizer.localizer._CELLS", 40)
+        patch.setattr("conformodal.localizer.localizer.BEYOND", 10)
+        save_model(small_model(), folder)
+        record = json.loads((folder / "model.json").read_text())
+        yield folder, record, load((folder / f"weights-{record['weights'][:8]}.safetensors").read_bytes())
+
+
+def fate(folder, record, name):
+    """What an altered model does wrong; empty where it is refused by name, or answers."""
+    record = {k: v for k, v in record.items() if k != "sha256"}
+    (folder / "model.json").write_text(json.dumps({**record, "sha256": _digest(record)}))
+    try:
+        model = load_model(folder)
+    except ModelFileError as exc:
+        return "" if name in str(exc) else f"the error does not name it: {exc}"
+    except Exception as exc:
+        return f"loading raises {exc!r}"
+    try:
+        VisualOdometry(model).step(image(), 1.0)
+    except ConformodalError:
+        pass
+    except Exception as exc:
+        return f"a step raises {exc!r}"
+    return ""
+
+
+def write_arrays(folder, arrays):
+    content = save(arrays)
+    digest = hashlib.sha256(content).hexdigest()
+    (folder / f"weights-{digest[:8]}.safetensors").write_bytes(content)
+    return digest
+
+
+def altered_arrays(array):
+    """The same array, altered."""
+    rng, first = np.random.default_rng(0), (0,) * array.ndim
+    yield "shorter", array[:-1]
+    yield "deeper", array[..., None]
+    yield "empty", array[:0]
+    yield "shuffled", rng.permutation(array.reshape(-1)).reshape(array.shape)
+    yield "of other numbers", array.astype(np.float32 if array.dtype.kind in "iub" else np.int64)
+    if array.dtype.kind == "i":
+        for value in (-1, 2**40, np.iinfo(array.dtype).max):
+            changed = array.copy()
+            changed[-1] = value
+            yield f"with {value}", changed
+    if array.dtype.kind == "f":
+        yield "negative", -array
+        yield "of zeros", np.zeros_like(array)
+        for value in (np.nan, np.inf, np.finfo(array.dtype).max):
+            changed = array.copy()
+            changed[first] = value
+            yield f"with {value}", changed
+
+
+def test_altered_arrays_are_refused_by_name_or_answer(saved):
+    folder, record, arrays = saved
+    wrong = []
+    for name, array in arrays.items():
+        for what, altered in altered_arrays(array):
+            if np.array_equal(altered, array, equal_nan=array.dtype.kind == "f") and altered.dtype == array.dtype:
+                continue
+            digest = write_arrays(folder, {**arrays, name: np.ascontiguousarray(altered)})
+            part = name.split(".", 2)[2] if name.startswith("source.") else name
+            part = "bins" if part.startswith("bins.") else part  # sources are asked for as many
+            if problem := fate(folder, {**record, "weights": digest}, part):
+                wrong.append(f"{name} {what}: {problem}")
+            (folder / f"weights-{digest[:8]}.safetensors").unlink()
+    assert not wrong, "\n".join(wrong)
+
+
+def values_in(value, path=()):
+    """The paths of all values in a record."""
+    yield path
+    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, entry in entries:
+        yield from values_in(entry, (*path, key))
+
+
+def test_altered_json_is_refused_by_name_or_answers(saved):
+    folder, record, _ = saved
+    wrong = []
+    for path, key in [
+        (p[:-1], p[-1]) for p in values_in({k: v for k, v in record.items() if k not in ("format", "sha256")}) if p
+    ]:
+        for value in ("text", 7, -1, 1e300, 10**30, None, [], {}):
+            changed = deepcopy(record)
+            parent = changed
+            for step in path:
+                parent = parent[step]
+            parent[key] = value
+            if problem := fate(folder, changed, (*path, key)[0]):
+                wrong.append(f"{'.'.join(map(str, (*path, key)))} = {value}: {problem}")
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("name", ["bins.6", "frames.poses", "calibration.loc", "path.online.units", "matched.units"])
+def test_a_missing_array_is_named(saved, name):
+    folder, record, arrays = saved
+    digest = write_arrays(folder, {k: v for k, v in arrays.items() if k != name})
+    assert fate(folder, {**record, "weights": digest}, name) == ""
+    with pytest.raises(ModelFileError, match=name):
+        load_model(folder)
+
+
+def edit_json(change):
+    def spoil(folder):
+        path = folder / "model.json"
+        record = json.loads(path.read_text())
+        change(record)
+        path.write_text(json.dumps(record))
+
+    return spoil
+
+
+def file_of(folder, kind):
+    (path,) = folder.glob(f"{kind}-*")
+    return path
+
+
+def flip_a_bit(path):
+    content = bytearray(path.read_bytes())
+    content[-5] ^= 1
+    path.write_bytes(bytes(content))
+
+
+SPOILT = {
+    "a bit of the weights": (lambda f: flip_a_bit(file_of(f, "weights")), r"weights-.*digest differs"),
+    "a bit of the network": (lambda f: flip_a_bit(file_of(f, "network")), r"network-.*digest differs"),
+    "alpha": (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
+    "an older format": (edit_json(lambda r: r.update(format="conformodal-model-19")), "Train the model again"),
+    "half of the JSON": (lambda f: (f / "model.json").write_text("{"), r"model\.json"),
+    "a list": (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),
+    "no JSON": (lambda f: (f / "model.json").unlink(), r"model\.json"),
+    "no weights": (lambda f: file_of(f, "weights").unlink(), r"weights-.*cannot be read"),
+    "no network": (lambda f: file_of(f, "network").unlink(), r"network-.*cannot be read"),
+}
+
+
+@pytest.mark.parametrize("what", SPOILT)
+def test_a_damaged_model_is_refused(tmp_path, what):
+    spoil, match = SPOILT[what]
+    save_model(small_model(), tmp_path)
+    spoil(tmp_path)
+    with pytest.raises(ModelFileError, match=match):
+        load_model(tmp_path)
