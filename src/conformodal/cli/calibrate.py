@@ -19,7 +19,7 @@ from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import calibrate_selection
 
 from .console import OptionError, print_where, progress_bars, report_line
-from .sources import DataLayout, FollowOutside, SavedModel, open_sequence
+from .sources import DataLayout, SavedModel, open_sequence
 
 
 def calibrate(
@@ -37,7 +37,6 @@ def calibrate(
         float | None,
         typer.Option(min=0.001, help="Metres that count as much as one radian; the scene's depth by default."),
     ] = None,
-    follow_outside: FollowOutside = False,
 ) -> None:
     """Give the chosen pose a radius with a coverage guarantee, calibrated on whole recordings."""
     if method not in METHODS:
@@ -47,7 +46,7 @@ def calibrate(
     if loaded.method is Method.PAPER:
         raise OdometryError(f"{model}: was trained with the paper's method, whose answer gets no radius")
     with lock_output(model, "train", apart=[data]):
-        sequence = open_sequence(data, layout, require_poses=True, follow_outside=follow_outside)
+        sequence = open_sequence(data, layout, require_poses=True)
         with progress_bars(model) as report:
             loaded.radius = radius = calibrate_selection(
                 loaded, sequence, alpha, guarantee, method, metres_per_radian, progress=report

@@ -34,7 +34,6 @@ from .sources import (
     Cache,
     DataLayout,
     Focal,
-    FollowOutside,
     MaxGap,
     TimeOffset,
     cache_folder,
@@ -63,16 +62,12 @@ def check(
     ] = None,
     cache: Cache = None,
     focal: Focal = None,
-    follow_outside: FollowOutside = False,
 ) -> None:
     """Print what a data set holds, what is wrong with it (exit code 1 if anything is), and what is missing."""
     with nullcontext() if out is None else lock_output(out, "data", apart=folders):
         if out is not None:  # refuse to begin where what draws is not installed
             from conformodal.report.figures import write_quality_page  # noqa: PLC0415 - it takes time to import
-        parts = [
-            open_sequence(path, layout, require_poses=False, follow_outside=follow_outside, focal=focal, notes=False)
-            for path in folders
-        ]
+        parts = [open_sequence(path, layout, require_poses=False, focal=focal, notes=False) for path in folders]
         sequence = join_recordings(parts)
         trained = None if model is None else load_model(model)
         if trained is not None:
@@ -125,10 +120,9 @@ def convert(
     max_gap: MaxGap = MAX_GAP_S,
     time_offset: TimeOffset = 0.0,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
-    follow_outside: FollowOutside = False,
 ) -> None:
     """Convert a data set, a video or a ROS recording to a data set in another layout, poses included."""
-    stream = open_source(source, layout, topic=topic, follow_outside=follow_outside)
+    stream = open_source(source, layout, topic=topic)
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
     given = stream.sequence.poses if isinstance(stream, RecordingStream) else None

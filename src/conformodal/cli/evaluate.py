@@ -31,7 +31,7 @@ from conformodal.pipeline.results import (
 
 from .answering import describe_coverage, print_errors
 from .console import print_where, report_line
-from .sources import FollowOutside, MaxGap, TimeOffset, open_sequence, read_poses
+from .sources import MaxGap, TimeOffset, open_sequence, read_poses
 
 _NOTE = (
     "share of true poses in the stored intervals; whether alpha guarantees it depends on how these frames relate to "
@@ -48,12 +48,11 @@ def evaluate(
     ] = Alignment.NONE,
     max_gap: MaxGap = MAX_GAP_S,
     time_offset: TimeOffset = 0.0,
-    follow_outside: FollowOutside = False,
 ) -> None:
     """Compare results with true poses, interpolated by time. Writes OUT/evaluation/metrics.json."""
     with writing_in(out), lock_output(out / "evaluation", "evaluate"):
         result = read_run(out)
-        true_poses = _read_truth(truth, layout, time_offset, follow_outside=follow_outside)
+        true_poses = _read_truth(truth, layout, time_offset)
         times = result.answer.timestamps_s
         rows, gaps = poses_at(true_poses, times, max_gap)
         posed = np.flatnonzero(np.isfinite(rows).all(axis=1))
@@ -145,9 +144,9 @@ def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
     return errors
 
 
-def _read_truth(path: Path, layout: Layout, offset_s: float, *, follow_outside: bool) -> Trajectory:
+def _read_truth(path: Path, layout: Layout, offset_s: float) -> Trajectory:
     """True poses from a TUM file or a data set."""
     if path.is_dir():
-        poses = open_sequence(path, layout, require_poses=True, follow_outside=follow_outside).require_truth()
+        poses = open_sequence(path, layout, require_poses=True).require_truth()
         return replace(poses, timestamps_s=poses.timestamps_s + offset_s)
     return read_poses(path, offset_s)

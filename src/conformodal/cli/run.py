@@ -32,7 +32,7 @@ from .answering import (
     write_answers,
 )
 from .console import BROKE_OFF, OptionError, print_where, progress_bars, report_line, stop_code, stopping
-from .sources import DataLayout, FollowOutside, SavedModel, open_source
+from .sources import DataLayout, SavedModel, open_source
 
 RERUN_SUFFIX, ROS_SUFFIX = ".rrd", ".mcap"
 _SHOW = "Show and record"
@@ -68,7 +68,6 @@ def run(
         Pace, typer.Option(help="fast: as fast as it can; camera: by the timestamps, losing frames that come too soon.")
     ] = Pace.FAST,
     limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
-    follow_outside: FollowOutside = False,
     view: Annotated[
         bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').", rich_help_panel=_SHOW)
     ] = False,
@@ -98,10 +97,7 @@ def run(
             loaded.set_novelty_level(novelty_level)
         whole = part is Part.ALL
         lens = loaded.camera if whole else None  # sources without calibration have no parts
-        opened = [
-            open_source(one, layout, topic=topic, as_trained=not whole, follow_outside=follow_outside, camera=lens)
-            for one in sources
-        ]
+        opened = [open_source(one, layout, topic=topic, as_trained=not whole, camera=lens) for one in sources]
         stream = join_streams([_as_trained(loaded, source, convert=whole) for source in opened])
         if isinstance(stream, RecordingStream):
             stream = RecordingStream(stream.sequence, part_frames(loaded, stream.sequence, part))

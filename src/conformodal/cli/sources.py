@@ -36,14 +36,6 @@ AllData = Annotated[
 Data = Annotated[Path, typer.Argument(help="Data set: images with poses.")]
 SavedModel = Annotated[Path, typer.Argument(help="Folder of a saved model.")]
 DataLayout = Annotated[Layout, typer.Option("--format", help="Layout of the data set.", rich_help_panel=DATA_PANEL)]
-FollowOutside = Annotated[
-    bool,
-    typer.Option(
-        "--follow-outside",
-        help="Follow names of images that lead out of the data set's folder: absolute, or by '..'. Links always are.",
-        rich_help_panel=DATA_PANEL,
-    ),
-]
 MaxGap = Annotated[float, typer.Option(min=0, help="Longest gap, seconds, between two poses to interpolate between.")]
 TimeOffset = Annotated[float, typer.Option(help="Seconds to add to the times of the poses.")]
 Focal = Annotated[
@@ -141,10 +133,8 @@ def open_source(
         warnings.simplefilter("ignore", DatasetWarning)
         stream = open_stream(source, layout, topic=topic, **options)
         if as_trained and isinstance(stream, RecordingStream) and stream.sequence.truth is None:
-            follow_outside = options.get("follow_outside", False)
             with suppress(DatasetError):  # no frame has a pose
-                again = read_recording(Path(source), layout, require_poses=True, follow_outside=follow_outside)
-                stream = RecordingStream(again)
+                stream = RecordingStream(read_recording(Path(source), layout))
     if topic is not None and not isinstance(stream, BagStream):
         raise OptionError(f"--topic is for ROS recordings, and {source} is not one, got {topic!r}")
     kind = type(stream).__name__.removesuffix("Stream").lower()

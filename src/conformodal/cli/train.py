@@ -34,7 +34,6 @@ from .sources import (
     Cache,
     DataLayout,
     Focal,
-    FollowOutside,
     cache_folder,
     open_sequences,
     was_given,
@@ -73,7 +72,6 @@ def train(
         float, _data("--calibration-share", help="Share of all frames (or recordings) held out to calibrate.")
     ] = ModelConfig.calibration,
     focal: Focal = None,
-    follow_outside: FollowOutside = False,
     trust_poses: Annotated[
         bool, _data("--trust-poses", help="Train although the poses do not fit the images (see data check).")
     ] = False,
@@ -147,9 +145,7 @@ def train(
     default_block(network)  # refuses a model of transformers that is not here, before images are read
     with lock_output(out, "train", apart=[*data, *([] if held_out is None else [held_out])]):
         features = FeatureCache(cache_folder(cache))
-        sequence = open_sequences(
-            data, layout, test=held_out, trust_poses=trust_poses, follow_outside=follow_outside, focal=focal
-        )
+        sequence = open_sequences(data, layout, test=held_out, trust_poses=trust_poses, focal=focal)
         with progress_bars(out) as report:
             train_on(sequence, config, out, features=features, report=report)
     print_where(out)

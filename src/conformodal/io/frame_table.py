@@ -97,9 +97,7 @@ class FrameTable:
             raise DatasetError(f"{path}: holds {scale[:9].tolist()}, expected the metres of one unit of the poses")
         self.poses[:, :3] *= scale[0]
 
-    def to_recording(
-        self, *, require_poses: bool = True, follow_outside: bool = False, focal: float | Literal["auto"] | None = None
-    ) -> Recording:
+    def to_recording(self, *, require_poses: bool = True, focal: float | Literal["auto"] | None = None) -> Recording:
         """The frames that can be used, as the camera of most has them; warns of the others.
 
         With `require_poses`, frames without a pose or a sound image are left out. See
@@ -111,7 +109,7 @@ class FrameTable:
             raise DatasetError(f"{self.source or self.name}: holds no frame")
         if bad := next((path for path in map(str, self.images) if as_utf8(path) != path), None):
             raise DatasetError(f"{as_utf8(bad)}: its name is not UTF-8; rename it")
-        if self.root is not None and not follow_outside:
+        if self.root is not None:
             _refuse_outside(self.images, self.root, self.source)
         if twice := [path for path, n in Counter(map(os.path.normpath, self.images)).items() if n > 1]:
             raise DatasetError(f"{self.source}: names {twice[0]} twice, expected each image once")
@@ -199,8 +197,7 @@ def _refuse_outside(images: list[Path], root: Path, source: Path | str) -> None:
         leads_out = ".." in path.parts or not path.is_relative_to(root)
         if leads_out and not Path(os.path.realpath(path)).is_relative_to(real_root):
             raise DatasetError(
-                f"{source}: names {path}, which lies outside {root}; link it into the folder, or let it be followed "
-                "with follow_outside (--follow-outside on the command line)"
+                f"{source}: names {path}, which lies outside {root}; link its folder into the data set and name that"
             )
 
 

@@ -129,7 +129,6 @@ def read_recording(
     format: str = Layout.AUTO,
     *,
     require_poses: bool = True,
-    follow_outside: bool = False,
     focal: float | str | None = None,
 ) -> Recording:
     """Read a data set, without decoding its images, as in ``examples/images.py``.
@@ -143,8 +142,6 @@ def read_recording(
     require_poses
         True leaves out frames without a pose or a sound image. False keeps them; the recording has a truth only if
         every frame has a pose.
-    follow_outside
-        Whether files of the data set may name images outside its folder, by ``..`` or absolute paths.
     focal
         Focal length in pixels where nothing says the camera; ``"auto"`` fits it to poses and images.
 
@@ -170,9 +167,7 @@ def read_recording(
     name = recognise(folder) if format == Layout.AUTO else format
     try:
         table = readers()[name].read(folder.resolve())
-        recording = table.to_recording(
-            require_poses=require_poses or fitted, follow_outside=follow_outside, focal="auto" if fitted else px
-        )
+        recording = table.to_recording(require_poses=require_poses or fitted, focal="auto" if fitted else px)
     except (OSError, UnicodeError, PoseError) as exc:
         raise DatasetError(as_utf8(f"{folder}: cannot be read: {exc}")) from exc
     return with_fitted_focal(recording) if fitted else recording

@@ -23,7 +23,6 @@ def open_stream(
     *,
     camera: PinholeCamera | None = None,
     topic: str | None = None,
-    follow_outside: bool = False,
 ) -> FrameStream:
     """Open a source: a data set's folder, a video file, a ROS recording, or ``camera:0``.
 
@@ -39,8 +38,6 @@ def open_stream(
         Intrinsics of videos and cameras, and of recordings that have none.
     topic
         Of the images of a ROS recording with several.
-    follow_outside
-        Whether a data set may name images outside its folder.
 
     Raises
     ------
@@ -54,4 +51,4 @@ def open_stream(
         return open_bag(path, topic, camera)
     if layout == Layout.AUTO and path.is_file():
         return open_video(path, camera)
-    return RecordingStream(read_recording(path, layout, require_poses=False, follow_outside=follow_outside))
+    return RecordingStream(read_recording(path, layout, require_poses=False))
