@@ -99,9 +99,9 @@ def archive():
 @pytest.mark.parametrize(
     ("content", "match"),
     [(None, "cannot be read"), (b"text", "is not a saved regressor"), (archive(), "is not a saved regressor"),
-     (skops.dumps({"format": "x"}), "is not a complete conformodal-table-4"),
+     (skops.dumps({"format": "x"}), "is not a complete conformodal-table-5"),
      (skops.dumps({"format": "conformodal-table-1", "scikit-learn": "0", "regressor": 3}), "fit and save it again"),
-     (skops.dumps({"format": "conformodal-table-4", "scikit-learn": "0", "regressor": 3}), "is not a saved")],
+     (skops.dumps({"format": "conformodal-table-5", "scikit-learn": "0", "regressor": 3}), "is not a saved")],
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore:.*saved with scikit-learn")
 def test_other_files_are_refused(content, match, tmp_path):

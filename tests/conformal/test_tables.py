@@ -1,5 +1,7 @@
 """Tables of strangers: names, text, gaps, dates and groups, in pandas, polars and Arrow."""
 
+import warnings
+from copy import copy
 from datetime import date
 from decimal import Decimal
 
@@ -15,7 +17,7 @@ from sklearn.preprocessing import OneHotEncoder
 from sklearn.tree import DecisionTreeClassifier
 from sklearn.utils import get_tags
 
-from conformodal.conformal import ConformalRegressor, ConformodalError, MondrianConformal
+from conformodal.conformal import ConformalRegressor, ConformodalError, DataWarning, MondrianConformal
 from conformodal.conformal.density.encoder import TableEncoder, as_column
 
 N = 240
@@ -79,7 +81,7 @@ def test_polars_gives_the_same_columns():
         (pd.Series([1, 2], dtype="category"), ["1", "2"]),
         (pd.Series(["a", None], dtype="string"), ["a", ""]),
         (pd.Series(pd.to_datetime(["1970-01-02", None])), [1, np.nan]),
-        (pd.Series(pd.to_datetime(["1970-01-02"]).tz_localize("CET")), [1]),
+        (pd.Series(pd.to_datetime(["1970-01-02"]).tz_localize("CET")), [23 / 24]),
         (pd.Series(["a", 1]), ["a", "1"]),
     ],
 )
@@ -226,3 +228,51 @@ def test_few_rows_are_rarely_unbounded_and_never_without_a_warning():
         tree().fit(X[:20], y[:20])
     with pytest.warns(UserWarning, match="regions are unbounded: 1 calibration sample is too few"):
         tree().fit(X[:5], y[:5])
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    """A fitted regressor, 100 more rows and their values."""
+    rng = np.random.default_rng(0)
+    time = pd.date_range("2024-01-01", periods=400, freq="h", tz="Europe/Berlin")[rng.permutation(400)]
+    X = pd.DataFrame({"x": rng.normal(size=400), "kind": rng.choice(["a", "b"], 400), "time": time})
+    y = 3 * X.x + 20 * (X.kind == "a") + rng.normal(0, 0.5, 400)
+    return ConformalRegressor(random_state=0).fit(X[:300], y[:300]), X[300:], y[300:]
+
+
+@pytest.mark.parametrize(
+    ("new", "named"),
+    [
+        (lambda X: X.assign(x=np.nan), "x is missing in 100, in training in 0 of 300"),
+        (lambda X: X.assign(kind=None), "kind is missing in 100"),
+        (lambda X: X.assign(kind=X.kind.str.upper()), "'B'.*, which may be 'b'|'A'.*, which may be 'a'"),
+        (lambda X: X.assign(kind="z"), "kind has a label that is new in 100, such as 'z'"),
+        (lambda X: X.assign(x=1000 * X.x), "x is beyond"),
+        (lambda X: X.assign(time=X.time.dt.tz_localize(None)), "time had a time zone in training"),
+    ],
+)
+def test_rows_unlike_those_of_training_are_counted_and_claim_no_more_than_is_known(mixed, new, named):
+    reg, X, y = mixed
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        usual = reg.predict_region(X)
+    with pytest.warns(DataWarning, match=named):
+        held = reg.predict_region(new(X)).contains(y).mean()
+    assert held > 0.85 or named in ("x is beyond", "time had a time zone in training")  # these get the usual sets
+    with pytest.warns(DataWarning, match=named):
+        ignoring = copy(reg).set_params(unlike="ignore").predict_region(new(X))
+    assert not ignoring.unbounded.any()
+    assert not usual.unbounded.any()
+
+
+def test_a_time_in_another_time_zone_is_the_same_time():
+    rng, hours = np.random.default_rng(0), pd.date_range("2024-03-01", periods=300, freq="h", tz="UTC")
+    order = rng.permutation(300)
+    y = np.sin(np.arange(300) / 40)[order]
+    X = pd.DataFrame({"at": hours}).iloc[order]
+    reg = tree(unlike="ignore").set_params(estimator=None).fit(X, y)
+    expected = reg.predict(X)
+    for zone in ("Pacific/Auckland", "Europe/Berlin"):
+        np.testing.assert_array_equal(reg.predict(X.assign(at=X["at"].dt.tz_convert(zone))), expected)
+        objects = pd.Series([t.to_pydatetime() for t in X["at"].dt.tz_convert(zone)], X.index, dtype=object)
+        np.testing.assert_array_equal(reg.predict(X.assign(at=objects)), expected)

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from .calibrators.weighted import WeightedConformal
     from .density.named import QuickDensity, StackedDensity
     from .diagnosis import Diagnosis, diagnose
+    from .doubts import DataWarning
     from .predictive import PredictiveDensity
     from .regressor import ConformalRegressor, NotCalibratedError
     from .scorers import log_density, region_scorers
@@ -42,6 +43,7 @@ _LATE = {  # a camera needs none of these, and scikit-learn takes half a second 
     ".calibrators.weighted": ("WeightedConformal",),
     ".density.named": ("QuickDensity", "StackedDensity"),
     ".diagnosis": ("Diagnosis", "diagnose"),
+    ".doubts": ("DataWarning",),
     ".predictive": ("PredictiveDensity",),
     ".regressor": ("ConformalRegressor", "NotCalibratedError"),
     ".scorers": ("log_density", "region_scorers"),
@@ -50,7 +52,7 @@ __getattr__ = lazy_getattr(__name__, {name: module for module, names in _LATE.it
 
 __all__ = [
     "Aci", "Aps", "ConditionalConformal", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
-    "CrossConformal", "Density", "Diagnosis", "DriftMonitor", "Lac", "MaxIntervals", "MondrianConformal",
+    "CrossConformal", "DataWarning", "Density", "Diagnosis", "DriftMonitor", "Lac", "MaxIntervals", "MondrianConformal",
     "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
     "Regions", "Score", "SplitConformal", "StackedDensity", "WeightedConformal", "check_coverage", "conformal_quantile",
     "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band", "hierarchical_maximum_quantile",

@@ -15,7 +15,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils import check_random_state, get_tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from conformodal.core.arrays import AnyArray, FloatArray
+from conformodal.core.arrays import AnyArray, BoolArray, FloatArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.ranges import Range
 from conformodal.core.words import counted
@@ -44,6 +44,7 @@ from .density.encoder import dense_inputs, is_frame, named_targets, rows_of
 from .density.learners import as_learner, fit_target, predict_proba, split_off
 from .density.mixture import as_sample_weight
 from .diagnosis import Diagnosis, diagnose
+from .doubts import DataWarning, TableMemory, Unlike
 from .predictive import PredictiveDensity
 from .regions import Regions
 from .saving import load_regressor, save_regressor
@@ -96,6 +97,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     max_intervals
         Most intervals of a set: :class:`~conformodal.conformal.MaxIntervals` then takes the place of
         `conformity_score`.
+    unlike
+        Sets of new rows that miss a value, or have a label, where no row of `fit` does: ``"unbounded"``, as nothing is
+        known about them, or, with ``"ignore"``, those of any other row, which may rarely contain the truth. Both are
+        told by a :class:`DataWarning`, which counts such rows, and those with numbers beyond the range of `fit`.
 
     Attributes
     ----------
@@ -132,6 +137,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         y_min: npt.ArrayLike = -np.inf,
         y_max: npt.ArrayLike = np.inf,
         max_intervals: int | None = None,
+        unlike: Unlike = "unbounded",
     ) -> None:
         self.estimator = estimator
         self.n_bins = n_bins
@@ -143,6 +149,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.y_min = y_min
         self.y_max = y_max
         self.max_intervals = max_intervals
+        self.unlike = unlike
 
     def fit(
         self, X: Any, y: Any, sample_weight: npt.ArrayLike | None = None, groups: npt.ArrayLike | None = None
@@ -184,6 +191,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.bins_ = bins.fit(values[training])
         self.bins_.check_limits(values)
         self.bins_.names = names
+        as_choice(self.unlike, Unlike, "unlike")
+        self.memory_ = TableMemory()
+        self.memory_.learn(features)
         self.calibrator_: Any = self._calibrator(labels is not None)
         unseen, learnt = self.joint == "max", rows_of(features, training)
         self.estimators_, out_of_fold = [], []
@@ -207,12 +217,22 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         values = as_targets(values, self.bins_.n_targets)
         self.bins_.check_limits(values)
         self._calibrate(features, values, self._labels(groups, len(values)))
+        self.memory_.learn(features)
         return self
 
     def predict_bins(self, X: Any) -> BinProbabilities:
         """Probabilities of the bins: d arrays (n, K_d)."""
+        return self._compared(X)[0]
+
+    def _compared(self, X: Any) -> tuple[BinProbabilities, BoolArray]:
+        """Probabilities, and whether each row is of a kind that never occurred; warns of rows unlike the training's."""
         check_is_fitted(self, "bins_")
-        return self._proba(self._inputs(X))
+        features = self._inputs(X)
+        unlike, words = self.memory_.compare(features)
+        if words:
+            sets = "sets of rows with what never occurred are unbounded" if self.unlike == "unbounded" else "unlike"
+            warnings.warn(f"rows unlike those of fit: {words}; {sets}", DataWarning, stacklevel=4)
+        return self._proba(features), unlike & (self.unlike == "unbounded")
 
     def predict_density(self, X: Any) -> PredictiveDensity:
         """Distributions of new samples: density, quantiles, mode, samples, and the probability of each interval."""
@@ -250,13 +270,17 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         `groups` (n,) are the samples' labels if the regressor was fitted with labels; those of a group that is new, or
         had too few calibration samples, are unbounded.
         """
-        proba, calibrator = self.predict_bins(X), self._calibrated()
+        (proba, unlike), calibrator = self._compared(X), self._calibrated()
         labels = self._labels(groups, len(proba[0]))
         arguments = [proba] if labels is None else [proba, labels]
+
+        def regions(rate: Alpha | None) -> Regions:
+            sets = (calibrator if rate is None else calibrator.at(rate)).predict(*arguments)
+            return Regions(self.bins_, sets.masks, sets.unbounded | unlike[:, None])
+
         if isinstance(alpha, (list, tuple, np.ndarray)) and np.ndim(alpha):
-            return [calibrator.at(rate).predict(*arguments) for rate in alpha]
-        regions: Regions = (calibrator if alpha is None else calibrator.at(alpha)).predict(*arguments)
-        return regions
+            return [regions(rate) for rate in alpha]
+        return regions(alpha)  # type: ignore[arg-type]
 
     def diagnose(self, X: Any, y: Any, groups: npt.ArrayLike | None = None, level: float = 0.99) -> Diagnosis:
         """Check coverage and sizes on test samples; print the result for a report.

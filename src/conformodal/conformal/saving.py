@@ -18,7 +18,7 @@ from conformodal.core.files import read_file, replacing
 from .checks import brief
 
 _KIND = "conformodal-table-"
-_FORMAT = f"{_KIND}4"  # 3 had other names of types
+_FORMAT = f"{_KIND}5"  # 4 did not know what its training rows held
 _PACKAGE = "conformodal.conformal."
 # what skops does not trust by itself: labels of groups, exact rates, compiled trees, kernels, and sparse arrays, of
 # which it knows matrices

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from datetime import date, datetime
+from datetime import UTC, date, datetime
 from decimal import Decimal
 from numbers import Real
 from typing import Any, Self
@@ -25,7 +25,8 @@ def is_frame(X: Any) -> bool:
     return hasattr(X, "columns") and hasattr(X, "shape")
 
 
-def _column(X: Any, j: int) -> Any:
+def column_of(X: Any, j: int) -> Any:
+    """A column of a table, by its position."""
     return X.iloc[:, j] if hasattr(X, "iloc") else X[:, j]
 
 
@@ -37,8 +38,10 @@ def rows_of(X: Any, rows: Any) -> Any:
 def as_column(column: Any, name: object, text: bool = False) -> AnyArray:
     """A column as float64, missing NaN and dates in days; or, of text and categories, as text, missing ``""``.
 
-    With `text`, objects of any kind and a column without any value are text too.
+    Times with a time zone count in UTC. With `text`, objects of any kind and a column without any value are text too.
     """
+    if getattr(getattr(column, "dtype", None), "tz", None) is not None:
+        column = column.dt.tz_convert(None)
     arr = np.asarray(column)
     labels = str(getattr(column, "dtype", "")).lower().startswith(("categor", "enum"))
     labels |= text and arr.dtype.kind == "O"
@@ -47,8 +50,7 @@ def as_column(column: Any, name: object, text: bool = False) -> AnyArray:
         if all(isinstance(value, (Real, Decimal, np.bool_)) for value in present):
             arr = np.array([np.nan if is_missing(value) else float(value) for value in arr])
         elif all(isinstance(value, date) for value in present):
-            times = [None if is_missing(v) else v.replace(tzinfo=None) if isinstance(v, datetime) else v for v in arr]
-            arr = np.array(times, dtype="M8[us]")
+            arr = np.array([None if is_missing(v) else _without_zone(v) for v in arr], dtype="M8[us]")
     if arr.dtype.kind in "mM":
         arr = np.where(np.isnat(arr), np.nan, (arr - arr.dtype.type(0, "D") if arr.dtype.kind == "M" else arr) / _DAY)
     if arr.dtype.kind in "biuf" and not labels:
@@ -57,6 +59,18 @@ def as_column(column: Any, name: object, text: bool = False) -> AnyArray:
             raise ConformodalError(f"column {name} must be finite or missing, got inf in row {np.isinf(arr).argmax()}")
         return np.full(numbers.shape, "") if text and np.isnan(numbers).all() else numbers
     return np.array([_label(value) for value in arr], dtype=np.str_)
+
+
+def _without_zone(value: date) -> date:
+    aware = isinstance(value, datetime) and value.tzinfo is not None
+    return value.astimezone(UTC).replace(tzinfo=None) if aware else value  # type: ignore[attr-defined]
+
+
+def has_zone(column: Any) -> bool:
+    """Whether a column holds times with a time zone."""
+    dtype = getattr(column, "dtype", None)
+    first = next((value for value in column if not is_missing(value)), None) if str(dtype) == "object" else dtype
+    return any(getattr(first, name, None) is not None for name in ("tz", "time_zone", "tzinfo"))
 
 
 def _label(value: Any) -> str:
@@ -70,15 +84,15 @@ def named_targets(y: Any, expected: list[str] | None) -> tuple[FloatArray, list[
     """Values to predict, (n,) or (n, d), and the names of a frame's or a series' columns."""
     if is_frame(y):
         names = column_names(y, "y", expected)
-        return np.column_stack([as_doubles(_column(y, j), f"y, {name},") for j, name in enumerate(names)]), names
+        return np.column_stack([as_doubles(column_of(y, j), f"y, {name},") for j, name in enumerate(names)]), names
     name = getattr(y, "name", None) if hasattr(y, "to_frame") else None  # of a series
     return as_doubles(y, f"y, {name}," if name else "y"), [str(name)] if name else None
 
 
-def _columns_of(X: Any, text: Collection[int] = ()) -> list[AnyArray]:
+def columns_of(X: Any, text: Collection[int] = ()) -> list[AnyArray]:
     """The columns of a table, see :func:`as_column`; an array has numbers only."""
     if is_frame(X):
-        return [as_column(_column(X, j), name, j in text) for j, name in enumerate(X.columns)]
+        return [as_column(column_of(X, j), name, j in text) for j, name in enumerate(X.columns)]
     arr = as_doubles(X, "X")
     if arr.ndim != 2 or np.isinf(arr).any():
         raise ConformodalError(f"X must be finite or missing, of shape (n, p), got shape {arr.shape}")
@@ -97,7 +111,7 @@ class TableEncoder:
     def fit(self, X: Any) -> Self:
         """Learn the medians and labels of the columns."""
         self.columns_: list[tuple[float, bool] | list[str] | None] = []
-        for values in _columns_of(X):
+        for values in columns_of(X):
             if values.dtype.kind == "f":
                 gaps = np.isnan(values)
                 self.columns_.append(None if gaps.all() else (float(np.median(values[~gaps])), bool(gaps.any())))
@@ -109,7 +123,7 @@ class TableEncoder:
 
     def transform(self, X: Any) -> FloatArray:
         """The columns (n, q) of a table with as many columns as the one that was learnt."""
-        columns = _columns_of(X, [j for j, learnt in enumerate(self.columns_) if isinstance(learnt, list)])
+        columns = columns_of(X, [j for j, learnt in enumerate(self.columns_) if isinstance(learnt, list)])
         if len(columns) != len(self.columns_):
             raise ConformodalError(f"X has {len(columns)} columns, expected {len(self.columns_)}")
         parts: list[FloatArray] = [np.empty((len(X), 0))]
