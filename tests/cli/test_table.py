@@ -105,6 +105,8 @@ def test_what_could_mean_two_things_is_told(tmp_path, rows, named):
         ("a,b\n1.5,2,\n3,4,\n", 2),
         ("a,b,\n1.5,2,\n3,4,\n", 2),
         ('"a",b\n"1.5","2"\n"3","4"\n', 2),
+        ("TOA5,Roof,CR1,12\na,b\nmm,kg\n" + "1.5,2\n" * 60, 61),
+        ("TOA5,12\na,b\nmm,kg\n" + "1.5,2\n" * 60, 61),
         ("a,b\n[mm],[kg]\n" + "1.5,2\n" * 30, 31),
     ],
 )
@@ -178,6 +180,21 @@ def test_columns_and_rows_that_say_nothing_are_left_out_and_told():
     assert "used: ward (text, 2 labels), age" in told
 
 
+@pytest.mark.parametrize("at", [30, 99])
+@pytest.mark.parametrize("label", [None, "Total", "x"])
+def test_a_row_of_totals_and_an_index_are_left_out_and_told(at, label):
+    table = frame()[["ward", "age"]].assign(dose=np.arange(100) + 1.0)
+    table.loc[at, ["age", "dose"]] = table.drop(index=at)[["age", "dose"]].sum()
+    table.loc[at, "ward"] = label
+    table.insert(0, "column 1", np.sort(np.random.default_rng(0).choice(900, 100, False)) * 1.0)
+    X, _, lines = choose_columns(table, ["dose"], None, "f")
+    assert at not in X.index
+    assert len(X) == 99
+    assert list(X) == ["ward", "age"]
+    assert f"row {at + 1}, which holds totals" in " ".join(lines)
+    assert "column 1 (an index)" in " ".join(lines)
+
+
 @pytest.mark.parametrize(
     ("targets", "group", "excluded", "named"),
     [
@@ -200,7 +217,7 @@ def test_columns_that_cannot_be_used_are_refused(targets, group, excluded, named
     "options",
     [
         "--model own.csv", "--model .", "--plot own.csv", "--plot new.gif", "--plot own.png", "--sep ab",
-        "--group a --group b", "--alpha 90", "--seed -1",
+        "--group a --group b", "--alpha 90", "--alpha 0.9", "--seed -1", "--unit a --group a",
     ],
 )  # fmt: skip
 def test_options_that_cannot_be_are_refused_and_nothing_is_overwritten(tmp_path, monkeypatch, options):
@@ -236,7 +253,7 @@ def test_the_command_prints_what_it_used_and_the_coverage_of_each_group(tmp_path
     X["age"] = X["dose"].fillna(0) + 0.1 * X["age"]
     X.to_csv(tmp_path / "own.csv", sep=";", decimal=",", index=False, encoding="utf-8-sig")
     outputs = ("--model", tmp_path / "reg.cm", "--plot", tmp_path / "own.png")
-    for options in ((), ("--group", "ward")):  # what it has written it replaces
+    for options in (("--unit", "name"), ("--split", "time"), ("--group", "ward")):  # what it has written it replaces
         result = invoke("table", tmp_path / "own.csv", "--target", "dose", *outputs, *options)
         assert result.exit_code == 0, result.output
     assert ConformalRegressor.load(tmp_path / "reg.cm").bins_.names == ["dose"]

@@ -176,7 +176,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("argument", "call"), REFUSED)
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore:rows unlike:UserWarning")
 def test_the_argument_is_named(argument, call):
     with pytest.raises(cm.ConformodalError, match=argument):
         call()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections.abc import Sequence
+from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,9 +14,10 @@ import numpy as np
 import pandas as pd
 import typer
 
-from conformodal.conformal import ConformalRegressor, Diagnosis, PredictiveDensity, Regions
-from conformodal.conformal.checks import as_alpha
+from conformodal.conformal import ConformalRegressor, DataWarning, Diagnosis, PredictiveDensity, Regions
+from conformodal.conformal.checks import doubt_alpha
 from conformodal.conformal.saving import check_replaceable
+from conformodal.core.arrays import AnyArray
 from conformodal.core.extras import require_extra
 from conformodal.core.words import counted, listed
 
@@ -23,8 +27,20 @@ from .table_csv import CsvFormat, TableError, read_table
 _FEWEST_ROWS = 50  # a fifth is tested, and a fifth of the rest calibrates
 _SHOWN, _NAMED = 3, 20  # rows, columns
 _MOST_MISSING, _MOST_DISTINCT = 0.5, 0.9
+_OUTLYING, _FEW_TOTALS = 10, 0.02  # medians that a sum exceeds, share of rows called totals
 _PICTURES = (".svg", ".png", ".pdf")
+_INDEX = r"column 1|index|Unnamed: \d+"  # the first of them stands for no name
+_TOTAL = (
+    r"(?i)(grand |sub|sub-)?totals?|(grand )?total .*|sums?|summe|gesamt|insgesamt|somme|totale|suma|average|mean|Σ"
+)
 _READING = "How the file is written"
+
+
+class Split(StrEnum):
+    """Which rows test and calibrate."""
+
+    RANDOM = "random"
+    TIME = "time"
 
 
 def table(
@@ -36,6 +52,12 @@ def table(
     exclude: Annotated[
         list[str] | None, typer.Option(help="Column to leave out, such as one known after the target; repeatable.")
     ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Column that names what rows were drawn together in, such as a subject.")
+    ] = None,
+    split: Annotated[
+        Split, typer.Option(help="Rows to test and calibrate on: drawn at random, or the last in time.")
+    ] = Split.RANDOM,
     sep: Annotated[str | None, typer.Option(help="Separator; recognised by default.", rich_help_panel=_READING)] = None,
     decimal: Annotated[
         str | None, typer.Option(help="Mark before decimals; recognised by default.", rich_help_panel=_READING)
@@ -56,22 +78,28 @@ def table(
     ] = None,
 ) -> None:
     """Learn columns of a CSV file from the others; print regions of unseen rows and their coverage."""
-    as_alpha(alpha)
+    if question := doubt_alpha(alpha):
+        raise TableError(question)
     _check_outputs(plot, model)
     if len(group or []) > 1:
         raise TableError(f"--group names one column, got {listed(group or [])}; ConditionalConformal takes several")
+    if unit is not None and (group or split is Split.TIME):
+        raise TableError("--unit cannot be used with --group or --split time")
     by = group[0] if group else None
     frame, notes = read_table(file, CsvFormat("\t" if sep == r"\t" else sep, decimal, thousands, na_values or ()))
-    X, y, more = choose_columns(frame, target, by, str(file), exclude or [])
+    left_out = [*(exclude or []), *([] if unit is None else [unit])]
+    X, y, more = choose_columns(frame, target, by, str(file), left_out)
     for note in (*notes, *more):
         report_line(note)
-    test, train = np.split(np.random.default_rng(seed).permutation(len(X)), [len(X) // 5])
+    units = None if unit is None else frame[unit].loc[X.index].astype(str)
+    test, train = _split_rows(X, units, split, np.random.default_rng(seed))
     joint: Any = "max" if len(target) > 1 else "none"
-    reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed)
+    held_out: Any = "random" if split is Split.RANDOM else "last"
+    reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, calibration=held_out)
     train_groups, test_groups = (X[by].iloc[rows] if by else None for rows in (train, test))
     with warning_lines(UserWarning, lambda text: report_line(f"note: {text}")):
-        reg.fit(X.iloc[train], y.iloc[train], groups=train_groups)
-    regions = reg.predict_region(X.iloc[test], groups=test_groups)
+        reg.fit(X.iloc[train], y.iloc[train], groups=train_groups, units=None if units is None else units.iloc[train])
+        regions = reg.predict_region(X.iloc[test], groups=test_groups)
     several = (regions.n_intervals > 1).any(axis=1)
     for row in sorted({*range(_SHOWN), int(several.argmax())}):
         for name, parts in zip(target, regions.intervals(row), strict=True):
@@ -79,7 +107,10 @@ def table(
             true = y[name].iloc[test[row]]
             report_line(f"row {X.index[test[row]] + 1}, {name}: {ranges} (true: {true:.4g})")
     report_line(f"rows with several intervals: {several.mean():.0%}")
-    diagnosis = reg.diagnose(X.iloc[test], y.iloc[test], test_groups)
+    about = f"rows of any new {unit}" if unit else "the last rows" if split is Split.TIME else "rows drawn at random"
+    report_line(f"coverage below is that of {about}")
+    with warnings.catch_warnings(action="ignore", category=DataWarning):  # which are told above
+        diagnosis = reg.diagnose(X.iloc[test], y.iloc[test], test_groups)
     for line in str(diagnosis).splitlines():
         report_line(line)
     if model is not None:
@@ -87,6 +118,22 @@ def table(
         report_line(f"regressor: {model.resolve()}")
     if plot is not None:
         _draw(reg.predict_density(X.iloc[test]), regions, y.iloc[test], diagnosis, plot)
+
+
+def _split_rows(
+    X: pd.DataFrame, units: pd.Series | None, split: Split, random: np.random.Generator
+) -> tuple[AnyArray, AnyArray]:
+    """Positions of a fifth of the rows, to test on, and of the others: whole units, or the last in time."""
+    if split is Split.TIME:
+        dates = X.select_dtypes("datetime")
+        order = dates.iloc[:, 0].argsort(kind="stable").to_numpy() if dates.shape[1] else np.arange(len(X))
+        return order[len(X) - len(X) // 5 :], order[: len(X) - len(X) // 5]
+    if units is None:
+        test, train = np.split(random.permutation(len(X)), [len(X) // 5])
+        return test, train
+    names = random.permutation(units.unique())
+    held = units.isin(names[: -(-len(names) // 5)]).to_numpy()
+    return random.permutation(np.flatnonzero(held)), np.flatnonzero(~held)
 
 
 def _check_outputs(plot: Path | None, model: Path | None) -> None:
@@ -137,8 +184,9 @@ def choose_columns(
         if frame[name].dtype.kind != "f":
             value = str(frame[name].dropna().iloc[:1].squeeze())
             raise TableError(f"{file}: target {name!r} must hold numbers, got {value!r}; see --decimal and --thousands")
-    whole = frame[needed].notna().all(axis=1)
-    gaps, used, left_out, rows = np.flatnonzero(~whole), dict[str, str](), [], frame[whole]
+    totals = total_rows(frame)
+    whole = frame[needed].notna().all(axis=1) & ~totals
+    gaps, used, left_out, rows = np.flatnonzero(~whole & ~totals), dict[str, str](), [], frame[whole]
     if len(rows) < _FEWEST_ROWS:
         raise TableError(f"{file}: {counted(len(rows), 'row')} with all targets, at least {_FEWEST_ROWS} are needed")
     for name in frame.columns.difference(targets, sort=False):
@@ -158,10 +206,25 @@ def choose_columns(
     if gaps.size:
         first = ", ".join(map(str, (gaps[:5] + 1).tolist())) + (", ..." if gaps.size > 5 else "")
         lines.append(f"left out: {counted(gaps.size, 'row')} without a target or group (rows {first})")
+    at = listed([str(row + 1) for row in np.flatnonzero(totals)[:5]] or ["none"])
+    lines += [f"note: left out: row {at}, which holds totals of the others"] if totals.any() else []
     inputs = rows[list(used)]
     if group is not None and inputs[group].dtype.kind == "f" and (inputs[group] % 1 == 0).all():
         inputs = inputs.astype({group: int})  # group 2, not 2.0
     return inputs, rows[targets], lines
+
+
+def total_rows(frame: pd.DataFrame) -> pd.Series:
+    """Rows that hold the sums of the others, or are called so where few are."""
+    numbers = frame.select_dtypes("float")
+    sums = np.isclose(2 * numbers, numbers.sum(), rtol=1e-6, atol=0) & (
+        numbers.abs() > _OUTLYING * numbers.abs().median()
+    )
+    totals = pd.Series(sums.sum(axis=1) > numbers.notna().sum(axis=1) / 2, frame.index)
+    for _, column in frame.select_dtypes(exclude=["float", "datetime"]).items():
+        called = column.astype(str).str.fullmatch(_TOTAL)
+        totals |= called & (called.mean() < _FEW_TOTALS)
+    return totals
 
 
 def _describe_column(column: pd.Series) -> str:
@@ -173,6 +236,8 @@ def _describe_column(column: pd.Series) -> str:
 
 def _useless(column: pd.Series) -> str:
     """Why a column is left out, or nothing."""
+    if re.fullmatch(_INDEX, str(column.name)) and column.dtype.kind == "f" and (column.dropna() % 1 == 0).all():
+        return "an index"
     values, missing = column.dropna(), column.isna().mean()
     if missing > _MOST_MISSING:
         return f"{missing:.0%} missing"

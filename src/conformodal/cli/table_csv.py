@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -26,6 +27,8 @@ _DATE = (  # with a year of four digits, or two at the end
     r"^((?P<year>\d{4})|\d{1,2})[-./ ](\d{1,2}|[A-Za-z]{3,9})[-./ ,]{1,2}(?(year)\d{1,2}|\d{2}(?:\d{2})?)(?!\d)"
 )
 _GROUPED = r"[-+]?[1-9]\d{0,2}([.,' ])\d{3}(?:\1\d{3})*(?:[.,]\d*)?"  # marks between thousands
+_NUMBER = r"[-+]?[\d.,]*\d[\d.,]*(e[-+]?\d+)?"
+_FEWEST_LINES = 3
 _CODES = (-99, 99, -999, 999, -9999, 9999, -99999, 99999)  # often stand for missing values
 
 
@@ -137,13 +140,22 @@ def _arrangement(text: str, file: Path, separators: str) -> tuple[int, str, int]
         try:
             for row in reader:
                 filled = [i for i, value in enumerate(row, start=1) if value.strip()]
-                rows += [(at, filled[-1], len(row))] if filled else []
+                names = len(filled) == len(set(row)) and not any(re.fullmatch(_NUMBER, value.strip()) for value in row)
+                rows += [(at, filled[-1], len(row), names)] if filled else []
                 at = reader.line_num
         except csv.Error:  # a value longer than Python's limit
             continue
-        usual = Counter(n for _, n, _ in rows).most_common(1)[0][0] if rows else 1
-        above = next((at for at, n, _ in rows if n >= usual), 0)
-        candidates.append((usual == 1, above, k, separator, max((n for *_, n in rows), default=1)))
+        usual = Counter(n for _, n, *_ in rows).most_common(1)[0][0] if rows else 1
+        wide = [row for row in rows if row[1] >= usual]
+        # a first line with numbers, or more values than all others, is not that of the names if the next one can be
+        while (
+            len(wide) > _FEWEST_LINES
+            and wide[1][3]
+            and (not wide[0][3] or wide[0][1] > max(n for _, n, *_ in wide[1:]))
+        ):
+            del wide[0]
+        above = wide[0][0] if wide else 0
+        candidates.append((usual == 1, above, k, separator, max((n for _, _, n, _ in rows), default=1)))
     if len(candidates) < len(separators) and all(single for single, *_ in candidates):
         raise TableError(f"{file}: a value has more than {csv.field_size_limit()} characters; is a quote not closed?")
     _, above, _, separator, width = min(candidates)

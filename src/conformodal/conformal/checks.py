@@ -58,6 +58,15 @@ def as_alpha(alpha: Alpha) -> Fraction:
     return rate
 
 
+def doubt_alpha(alpha: Alpha) -> str:
+    """A question about a rate from one half on, which is likely to be meant as a coverage; or nothing."""
+    rate = as_alpha(alpha)
+    if rate < Fraction(1, 2):
+        return ""
+    held, asked = f"alpha = {alpha} gives sets that hold {float(1 - rate):.0%} of all samples", f"{float(rate):.0%}"
+    return f"{held}; did you mean {float(1 - rate):g}, for {asked}?"
+
+
 def check_number(value: Any, name: str, allowed: Range) -> Any:
     """A number, if it is one of those allowed."""
     if not allowed.holds(value):

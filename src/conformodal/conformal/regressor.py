@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeAlias, overload
+from typing import Any, ClassVar, Literal, Self, TypeAlias, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -37,19 +37,21 @@ from .checks import (
     brief,
     check_number,
     column_names,
+    doubt_alpha,
     factorise,
     not_calibrated,
 )
 from .density.encoder import dense_inputs, is_frame, named_targets, rows_of
-from .density.learners import as_learner, fit_target, predict_proba, split_off
+from .density.learners import as_learner, fit_target, predict_proba, split_off, split_units
 from .density.mixture import as_sample_weight
 from .diagnosis import Diagnosis, diagnose
-from .doubts import DataWarning, TableMemory, Unlike
+from .doubts import DataWarning, TableMemory, Unlike, doubt_rows
 from .predictive import PredictiveDensity
 from .regions import Regions
 from .saving import load_regressor, save_regressor
 from .scores import MaxIntervals, Score
 
+Calibration: TypeAlias = Literal["random", "last"]
 Alphas: TypeAlias = Sequence[float] | Sequence[str] | FloatArray
 
 # Values a little beyond the training range still get a finite score.
@@ -101,6 +103,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         Sets of new rows that miss a value, or have a label, where no row of `fit` does: ``"unbounded"``, as nothing is
         known about them, or, with ``"ignore"``, those of any other row, which may rarely contain the truth. Both are
         told by a :class:`DataWarning`, which counts such rows, and those with numbers beyond the range of `fit`.
+    calibration
+        The samples held out for calibration: ``"random"``, or the ``"last"``, of samples in the order of time.
 
     Attributes
     ----------
@@ -138,6 +142,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         y_max: npt.ArrayLike = np.inf,
         max_intervals: int | None = None,
         unlike: Unlike = "unbounded",
+        calibration: Calibration = "random",
     ) -> None:
         self.estimator = estimator
         self.n_bins = n_bins
@@ -150,11 +155,20 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.y_max = y_max
         self.max_intervals = max_intervals
         self.unlike = unlike
+        self.calibration = calibration
 
     def fit(
-        self, X: Any, y: Any, sample_weight: npt.ArrayLike | None = None, groups: npt.ArrayLike | None = None
+        self,
+        X: Any,
+        y: Any,
+        sample_weight: npt.ArrayLike | None = None,
+        groups: npt.ArrayLike | None = None,
+        units: npt.ArrayLike | None = None,
     ) -> Self:
         """Learn and calibrate.
+
+        A :class:`DataWarning` tells of samples whose coverage is not that of new ones: identical rows, units of several
+        rows, and an order (of an index, or dates) in which neighbours are alike; and what mends it.
 
         Parameters
         ----------
@@ -172,6 +186,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             (n,) labels, as text, numbers or dates: coverage is then guaranteed within each group, see
             :class:`MondrianConformal`; each is split by itself. For groups that overlap, see
             :class:`ConditionalConformal`.
+        units
+            (n,) labels of what rows were drawn together in, such as a subject, which should not be an input: units
+            are held out whole, and coverage is guaranteed for a random row of a new unit (not with `groups`).
         """
         features, values, names = self._table(X, y, reset=True)
         self._one_target = values.ndim == 1
@@ -181,9 +198,23 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if weight is not None:
             features, values = rows_of(features, weight > 0), values[weight > 0]
             labels, weight = None if labels is None else labels[weight > 0], weight[weight > 0]
+            units = None if units is None else np.asarray(units)[np.asarray(sample_weight) > 0]
+        members = None if units is None else as_labels(units, len(values), "units")
+        as_choice(self.calibration, Calibration, "calibration")
+        as_choice(self.unlike, Unlike, "unlike")
+        if members is not None and (labels is not None or self.calibration == "last"):
+            raise ConformodalError("units must be None with groups or calibration='last'")
+        doubts = doubt_rows(features, values, members is not None, self.calibration == "last")
+        if doubts := [*filter(None, [doubt_alpha(self.alpha)]), *doubts]:
+            warnings.warn("; and ".join(doubts), DataWarning, stacklevel=2)
         size = check_number(self.calibration_size, "calibration_size", _CALIBRATION_SIZE)
         random = check_random_state(self.random_state)
         held_out, training = split_off(len(values), size, random, None if labels is None else factorise(labels)[1])
+        if self.calibration == "last":
+            held_out, training = np.split(np.arange(len(values))[::-1], [held_out.size])
+            training = random.permutation(training)
+        elif members is not None:
+            held_out, training = split_units(members, size, as_alpha(self.alpha), random)
         base, dense = as_learner(self.estimator, random.randint(2**31 - 1))
         n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
         tail = _TAIL if 0 < held_out.size < _FEW_TO_CALIBRATE else 0.0
@@ -191,7 +222,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.bins_ = bins.fit(values[training])
         self.bins_.check_limits(values)
         self.bins_.names = names
-        as_choice(self.unlike, Unlike, "unlike")
         self.memory_ = TableMemory()
         self.memory_.learn(features)
         self.calibrator_: Any = self._calibrator(labels is not None)
@@ -207,7 +237,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             scored = scored or self._proba(learnt)  # too few rows to leave any out
             self.calibrator_.fit_scale(scored, values[training[: len(scored[0])]])
         if held_out.size:
-            self._calibrate(rows_of(features, held_out), values[held_out], None if labels is None else labels[held_out])
+            of_groups, of_units = (None if of is None else of[held_out] for of in (labels, members))
+            self._calibrate(rows_of(features, held_out), values[held_out], of_groups, of_units)
         return self
 
     def conformalize(self, X_cal: Any, y_cal: Any, groups: npt.ArrayLike | None = None) -> Self:
@@ -230,8 +261,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         features = self._inputs(X)
         unlike, words = self.memory_.compare(features)
         if words:
-            sets = "sets of rows with what never occurred are unbounded" if self.unlike == "unbounded" else "unlike"
-            warnings.warn(f"rows unlike those of fit: {words}; {sets}", DataWarning, stacklevel=4)
+            unbounded = unlike.any() and self.unlike == "unbounded"
+            sets = f"; sets of the {unlike.sum()} with what never occurred are unbounded" if unbounded else ""
+            warnings.warn(f"rows unlike those of fit: {words}{sets}", DataWarning, stacklevel=4)
         return self._proba(features), unlike & (self.unlike == "unbounded")
 
     def predict_density(self, X: Any) -> PredictiveDensity:
@@ -360,12 +392,15 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             raise ConformodalError(f"groups {'are needed, as fit had them' if needed else 'must be None, as in fit'}")
         return None if groups is None else as_labels(groups, n)
 
-    def _calibrate(self, features: Any, values: FloatArray, labels: AnyArray | None) -> None:
+    def _calibrate(
+        self, features: Any, values: FloatArray, labels: AnyArray | None, units: AnyArray | None = None
+    ) -> None:
         if labels is None:
-            self.calibrator_.calibrate(self._proba(features), values)
+            self.calibrator_.calibrate(self._proba(features), values, units)
             if np.isinf(self.calibrator_.thresholds_).any():
-                n, beyond = len(values), int((self.bins_.encode(values) < 0).any(axis=1).sum())
-                why = f"{counted(n, 'calibration sample is', 'calibration samples are')} too few"
+                n, beyond = self.calibrator_.n_units, int((self.bins_.encode(values) < 0).any(axis=1).sum())
+                kind = "unit" if units is not None else "sample"
+                why = f"{counted(n, f'calibration {kind} is', f'calibration {kind}s are')} too few"
                 if self.calibrator_.rank <= n:
                     why = f"{beyond} of {n} calibration samples have values beyond those learnt from, too many"
                 warnings.warn(f"regions are unbounded: {why} for alpha = {self.calibrator_.alpha}", stacklevel=3)

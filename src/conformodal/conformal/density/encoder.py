@@ -73,6 +73,13 @@ def has_zone(column: Any) -> bool:
     return any(getattr(first, name, None) is not None for name in ("tz", "time_zone", "tzinfo"))
 
 
+def is_time(X: Any, j: int) -> bool:
+    """Whether a column of a table holds dates or times."""
+    column = column_of(X, j) if is_frame(X) else X[:0, j]
+    first = next((value for value in column if not is_missing(value)), None)
+    return isinstance(first, (date, np.datetime64))
+
+
 def _label(value: Any) -> str:
     """A value as text; gaps turn the whole numbers of a category into floats, which are the same labels."""
     if is_missing(value):

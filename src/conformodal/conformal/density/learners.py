@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from fractions import Fraction
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -12,7 +13,7 @@ from sklearn.base import clone
 
 from conformodal.conformal.bins import nearest_bins
 from conformodal.conformal.checks import as_doubles, brief
-from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.core.arrays import AnyArray, FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.words import counted
 
@@ -66,6 +67,18 @@ def split_off(
             f"X has n_samples={n}, {n_held} of which are held out to calibrate{each}: at least 2 must be left"
         )
     return order[:n_held], order[n_held:]
+
+
+def split_units(
+    units: AnyArray, share: float, alpha: Fraction, random: np.random.RandomState
+) -> tuple[IntArray, IntArray]:
+    """Calibration samples, of whole units, up to half of them if bounded sets need so many; and the others."""
+    distinct, codes = np.unique(units, return_inverse=True)
+    n_held = max(int(np.ceil(share * distinct.size)), min(distinct.size // 2, int(1 / alpha))) if share else 0
+    if distinct.size < n_held + 2:
+        raise ConformodalError(f"units must be 2 or more beside the {n_held} that calibrate, got {distinct.size}")
+    held = np.isin(codes, random.permutation(distinct.size)[:n_held])
+    return random.permutation(np.flatnonzero(held)), random.permutation(np.flatnonzero(~held))
 
 
 def fit_target(
