@@ -52,9 +52,12 @@ def test_images_of_another_camera_are_brought_to_the_first(sequence, tmp_path, m
     assert [what for what, _ in whole.notes] == ["images of another camera are brought to one"]
 
 
-def test_a_frame_in_two_data_sets_is_refused(sequence):
+def test_a_frame_in_two_data_sets_and_two_units_are_refused(sequence):
     with pytest.raises(DatasetError, match="is in two of the data sets"):
         join_recordings([part(sequence, 0, 5), part(sequence, 4, 8)])
+    with pytest.raises(DatasetError, match="lengths in units"):
+        join_recordings([part(sequence, 0, 5), part(sequence, 5, 8, unit="units")])
+    assert len(join_recordings([part(sequence, 0, 5), part(sequence, 5, 8, unit="units", poses=None)])) == 8
 
 
 def test_streams_of_data_sets_run_one_after_the_other_and_others_alone(sequence, tmp_path):

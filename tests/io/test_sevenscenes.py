@@ -61,14 +61,7 @@ def test_lists_of_a_scene_say_which_frames_test(tmp_path, train, test, expected)
     sequence = read_recording(write_scene(tmp_path, train, test))
     assert sequence.given_test.dtype == bool
     assert sequence.given_test.tolist() == [bool(x) for x in expected]
-
-
-def test_a_recording_and_a_scene_without_lists_give_no_test_frames(tmp_path):
-    scene = write_scene(tmp_path)
-    assert read_recording(scene / "seq-01").given_test is None
-    for path in scene.glob("*Split.txt"):
-        path.unlink()
-    assert read_recording(scene).given_test is None
+    assert read_recording(tmp_path / "seq-01").given_test is None
 
 
 @pytest.mark.parametrize(

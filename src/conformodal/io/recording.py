@@ -155,6 +155,8 @@ def join_recordings(sequences: Sequence[Recording], given_test: Sequence[bool] |
     if len(set(paths)) < len(paths):
         twice = next(path for path in paths if paths.count(path) > 1)
         raise DatasetError(f"{twice}: is in two of the data sets; expected recordings without a common frame")
+    if other := next((part for part in parts if part.poses is not None and part.unit != first.unit), None):
+        raise DatasetError(f"{other.name}: has lengths in {other.unit}, and {first.name} in {first.unit}; scale one")
     poses = [part.poses for part in parts if part.poses is not None]
     listed = [np.zeros(len(part), dtype=bool) if part.given_test is None else part.given_test for part in parts]
     return Recording(
