@@ -1,6 +1,8 @@
 """A saved regressor answers as before, and no other file is loaded."""
 
 import io
+import tracemalloc
+import warnings
 import zipfile
 from datetime import date
 from decimal import Decimal
@@ -109,6 +111,46 @@ def test_other_files_are_refused(content, match, tmp_path):
         (tmp_path / "reg.cm").write_bytes(content)
     with pytest.raises(ConformodalError, match=rf"reg\.cm: .*{match}"):
         ConformalRegressor.load(tmp_path / "reg.cm")
+
+
+def stated(path, name, size):
+    """Let an archive's directory state another size of an entry."""
+    content = bytearray(path.read_bytes())
+    at = content.rindex(name.encode())  # in the directory, 46 bytes after its entry begins
+    content[at - 22 : at - 18] = size.to_bytes(4, "little")
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "size", "match"),
+    [("big.npy", bytes(2**27), None, "unpacks to 129 MB"), ("big.npy", bytes(2**27), 1000, "Bad CRC-32"),
+     ("../x.npy", b"1", None, "in a folder"), ("x.npy", b"", None, "is empty"),
+     ("schema.json", b"{}", None, "one name"), ("x.npz", "nested", None, "unpacks to 128 MB")],
+)  # fmt: skip
+def test_archives_that_no_regressor_makes_are_refused_before_they_are_unpacked(name, content, size, match, tmp_path):
+    path, held = tmp_path / "reg.cm", io.BytesIO()
+    if content == "nested":
+        with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as inner:
+            inner.writestr("data.npy", bytes(2**27))
+        content = held.getvalue()
+    fitted(estimator=FOREST, n_bins=4).save(path)
+    with warnings.catch_warnings(), zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as files:
+        warnings.simplefilter("ignore")  # of the name that is there already
+        files.writestr(name, content)
+    if size:
+        stated(path, name, size)
+    tracemalloc.start()
+    with pytest.raises(ConformodalError, match=rf"reg\.cm: is not a saved regressor: .*{match}"):
+        ConformalRegressor.load(path)
+    assert tracemalloc.get_traced_memory()[1] < 2**26
+    tracemalloc.stop()
+
+
+def test_a_regressor_that_shrinks_more_than_is_loaded_is_saved_whole(tmp_path):
+    reg = fitted(estimator=FOREST, n_bins=4)
+    reg.zeros_ = np.zeros(10**7)
+    reg.save(tmp_path / "reg.cm")
+    np.testing.assert_array_equal(ConformalRegressor.load(tmp_path / "reg.cm").zeros_, reg.zeros_)
 
 
 @pytest.mark.parametrize("content", [b"text", archive(), skops.dumps({"format": "x"}), None])
