@@ -81,5 +81,46 @@ def test_thresholds_are_grouped_quantiles_column_by_column(problem, joint):
     rate = 0.15 if joint == "bonferroni" else 0.3
     parts = [columns[group == g] for g in np.unique(group)]
     expected = [cm.hierarchical_quantile([p[:, j] for p in parts], str(rate)) for j in range(columns.shape[1])]
-    np.testing.assert_array_equal(cal.thresholds_, np.broadcast_to(expected, 2))
+    np.testing.assert_allclose(cal.thresholds_, np.broadcast_to(expected, 2), atol=1e-11)
     assert cal.n_units == len(np.unique(group))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("score", ["lac", "density", "hpd"])
+@pytest.mark.parametrize("joint", ["none", "max"])
+def test_scores_that_differ_by_rounding_are_tied(dtype, score, joint):
+    """Rows of one kind, whose probabilities are rounded in many ways: all have the same sets, as have exact ones."""
+    rng = np.random.default_rng(0)
+    bins = cm.QuantileBins.from_edges([np.arange(7.0)])
+    exact = np.tile(rng.dirichlet(np.ones(6)), (200, 1)).astype(dtype)
+    rounded = exact * (1 + 4 * np.finfo(dtype).eps * rng.uniform(-1, 1, exact.shape)).astype(dtype)
+    y, groups, folds = rng.choice(6, 200, p=exact[0] / exact[0].sum(dtype=float)) + 0.5, np.ones(200), np.zeros(200)
+    kinds = [
+        (cm.SplitConformal, (), ()), (cm.MondrianConformal, (groups,), (groups,)),
+        (cm.WeightedConformal, (groups,), (groups,)), (cm.ConditionalConformal, (groups,), (groups,)),
+        *([(cm.CrossConformal, (folds,), None)] if joint == "none" else []),
+    ]  # fmt: skip
+    for kind, calibrated, asked in kinds:
+        sets = []
+        for proba in (exact, rounded):
+            cal = kind(bins, 0.3, score, joint).set_scale(0.3, 0.1).calibrate(proba, y, *calibrated)
+            for new in (exact, rounded):
+                sets.append(cal.predict({0.0: new} if asked is None else new, *(asked or ())).masks[0])
+        for mask in sets[1:]:
+            np.testing.assert_array_equal(mask, sets[0])
+
+
+class Powers:
+    name = "powers"
+
+    def of_bins(self, proba, widths):
+        return np.broadcast_to(self.factor * np.arange(1.0, 7), proba.shape)
+
+
+@pytest.mark.parametrize("factor", [1e-322, 1e-310, 1, 1e300, 2.9e307])
+def test_scores_of_any_size_keep_their_sets(factor):
+    score, bins = Powers(), cm.QuantileBins.from_edges([np.arange(7.0)])
+    score.factor = factor
+    y = np.arange(60) % 6 + 0.5
+    sets = cm.SplitConformal(bins, "0.3", score).calibrate(np.full((60, 6), 1 / 6), y).predict(np.full((1, 6), 1 / 6))
+    assert sets.masks[0].tolist() == [[True] * 5 + [False]]

@@ -6,6 +6,7 @@ from scipy.stats import norm
 
 import conformodal.conformal as cm
 from conformodal.conformal import ConditionalConformal, QuantileBins
+from conformodal.conformal.calibrators import conditional
 
 BINS = QuantileBins.from_edges([np.linspace(-30, 30, 601)])
 FLAT = np.full((2000, 600), 1 / 600)
@@ -124,3 +125,19 @@ def test_groups_with_scores_of_other_sizes_keep_their_thresholds(rng, ratio):
     found = thresholds(scores, group[:, None] == [0, 1], np.eye(2))
     over = found / [cm.conformal_quantile(scores[group == g], 0.1) for g in (0, 1)]
     assert ((over >= 1) & (over <= 1 + 1e-3)).all()
+
+
+@pytest.mark.parametrize("ratio", [1, 1e7, 1e12, 1e300])
+def test_atoms_of_far_larger_scores_are_not_lost_to_rounding(rng, ratio):
+    scores, group = np.ceil(3 * np.abs(rng.normal(size=200))), rng.integers(0, 2, 200)
+    scores[group == 1] *= ratio
+    values = np.array([0, 1, 4, 9, 25, 64, 1e15, 1e16])
+    for given in (scores, rng.choice(values, 200, p=[0.2, 0.15, 0.1, 0.09, 0.07, 0.07, 0.25, 0.07])):
+        calibration, asked, _ = conditional._coordinates((group[:, None] == [0, 1]) * 1.0, np.eye(2))
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            limits = conditional._limits(given, calibration, asked, 0.1)
+        quantiles = [cm.conformal_quantile(given[group == g], 0.1) for g in (0, 1)]
+        assert (limits >= quantiles).all()
+        same = [np.sum(given[group == g] <= limits[g]) == np.sum(given[group == g] <= quantiles[g]) for g in (0, 1)]
+        assert all(same) != any("scale them" in str(warning.message) for warning in told)

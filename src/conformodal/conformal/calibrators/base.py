@@ -23,12 +23,14 @@ from conformodal.conformal.checks import (
 )
 from conformodal.conformal.rank import conformal_quantile
 from conformodal.conformal.regions import Regions
-from conformodal.conformal.scores import BUILT_IN, Score, resolve_score
+from conformodal.conformal.scores import BUILT_IN, Aps, Lac, Score, resolve_score
 from conformodal.core.arrays import FloatArray, RealArray
 from conformodal.core.errors import ConformodalError
 
 Empty = Literal["allow", "mode"]
 Joint = Literal["none", "bonferroni", "max"]
+# shares of a score by which it may be rounded, by the bytes of its floating type: some units of the last place
+_ROUNDING = {4: 2.0**-20, 8: 2.0**-40}
 
 
 class Calibrator:
@@ -180,20 +182,24 @@ class Calibrator:
     def per_target(self, thresholds: RealArray) -> RealArray:
         """Thresholds of the targets' own scores, (..., d), from those of the columns.
 
-        Those of ``joint="max"`` are raised by what scaling may round, so that no score at the threshold is lost.
+        They are raised by what scores may be rounded, so that no score at the threshold is lost.
         """
-        if self.joint != "max":
-            return thresholds
         loc, scale = self.scales()
         scaled = np.asarray(scale * thresholds, dtype=np.float64)
-        rounding = np.where((loc == 0) & (scale == 1), 0, 4 * np.finfo(np.float64).eps * (np.abs(loc) + np.abs(scaled)))
-        return np.where(np.isfinite(scaled), loc + scaled + np.where(np.isfinite(rounding), rounding, 0), scaled)
+        rounding = self.rounding(np.maximum(np.abs(loc), np.abs(scaled)), self._calibrated().dtype)
+        return np.where(np.isfinite(scaled), np.minimum(loc + scaled + rounding, np.finfo(np.float64).max), scaled)
+
+    def rounding(self, sizes: FloatArray, dtype: np.dtype[Any]) -> FloatArray:
+        """By how much scores of such sizes may differ for equal samples: products of matrices round by their shape."""
+        # scores that are shares are differences or sums of numbers of up to 1; others round by their own size
+        sizes = np.maximum(sizes, 1) if isinstance(self.score_, (Lac, Aps)) else sizes
+        return np.asarray(_ROUNDING[dtype.itemsize] * sizes + np.finfo(dtype).smallest_subnormal)
 
     def scales(self) -> tuple[FloatArray, FloatArray]:
-        """Shift and scale (d,) of the targets' scores for ``joint="max"``."""
-        if hasattr(self, "loc_"):
+        """Shift and scale (d,) of the targets' scores, which ``joint="max"`` compares."""
+        if self.joint == "max" and hasattr(self, "loc_"):
             return self.loc_, self.scale_
-        if getattr(self.score_, "normalised", False):
+        if self.joint != "max" or getattr(self.score_, "normalised", False):
             return np.zeros(self.bins.n_targets), np.ones(self.bins.n_targets)
         raise not_calibrated('joint="max" needs scales: call fit_scale(proba_train, y_train) first')
 

@@ -22,6 +22,10 @@ _BELOW = 1e-6
 _ROUNDING = 1e-9
 # shares of the largest singular value, and of a column's mean, below which directions and spreads are rounding errors
 _SINGULAR, _CONSTANT = 1e-9, 1e-13
+# a scale may be this much above a threshold; scores beyond so many scales count as if they were there
+_WIDE, _WIDEST = 1e3, 1e6
+# the programme is solved again on scales that much smaller, at most so often; share of a sum that rounding may take
+_CLOSER, _PASSES, _LOST = 1e4, 6, 2.0**-46
 
 
 class ConditionalConformal(Calibrator):
@@ -43,7 +47,8 @@ class ConditionalConformal(Calibrator):
 
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, conditions: npt.ArrayLike) -> Self:
         """Score the calibration samples; `conditions` (n, c) are numbers, or zeros and ones for groups."""
-        scores = self.columns(self.score_samples(proba, y))
+        plain = self.score_samples(proba, y)
+        scores = self.columns(plain).astype(plain.dtype)  # which says how they are rounded
         if not len(scores):
             raise ConformodalError("y must hold at least one calibration sample")
         self.names_ = column_names(conditions, "conditions", None)
@@ -117,13 +122,32 @@ def _limits(scores: FloatArray, calibration: FloatArray, asked: FloatArray, alph
 
     center = float(np.median(scores))
     spread = float(np.quantile(np.abs(scores - center), 0.25)) or float(np.abs(scores - center).max()) or 1.0
-    upper = (1 - alpha) / alpha
+    upper, limits = (1 - alpha) / alpha, np.full(len(asked), np.inf)
     exact: Any = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-    costs, limits = (center - scores) / spread, np.full(len(asked), np.inf)
+    if np.abs(scores - center).max() > _WIDEST * spread:
+        center, spread = 0.0, float(np.abs(scores).max())
+    lost, at, rounding = 0, 0.0, 0.0
     for i, row in enumerate(asked):
+        function, left, scale = np.zeros(len(row)), scores - center, spread
         # the dual of the quantile regression, in which the new sample's score is larger than the function
         right = -row * (upper - _BELOW)
-        solved = linprog(costs, A_eq=calibration.T, b_eq=right, bounds=(-1, upper), method="highs-ds", options=exact)
-        if solved.success:
-            limits[i] = center + spread * (_ROUNDING - row @ solved.eqlin.marginals)
+        for _ in range(_PASSES):
+            costs = -np.clip(left / scale, -_WIDEST, _WIDEST)
+            solved = linprog(
+                costs, A_eq=calibration.T, b_eq=right, bounds=(-1, upper), method="highs-ds", options=exact
+            )
+            if not solved.success:
+                break
+            function = function - scale * solved.eqlin.marginals
+            at, rounding = center + row @ function, _LOST * (abs(center) + float(np.abs(row) @ np.abs(function)))
+            limits[i] = at + max(scale * _ROUNDING, rounding)
+            if scale <= max(abs(at) * _WIDE, rounding):
+                break
+            # what is far from the function stays on its side when it is found more closely
+            left, scale = scores - center - calibration @ function, scale / _CLOSER
+        hidden = scores[np.abs(scores - at) <= rounding] if np.isfinite(limits[i]) else scores[:0]
+        lost += bool(hidden.size and np.ptp(hidden) > _LOST * np.abs(hidden).max())
+    if lost:
+        told = "so far below others that rounding hides them, and sets are larger: scale them, or calibrate them apart"
+        warnings.warn(f"scores at {lost} of {len(asked)} conditions are {told}", stacklevel=4)
     return limits

@@ -76,7 +76,9 @@ class CrossConformal(Calibrator):
         for j, (widths, size) in enumerate(zip(self.bins.widths, self.bins.sizes, strict=True)):
             smaller = np.zeros((n, size), dtype=np.int64)
             for fold, scores in calibrated.items():
-                smaller += np.searchsorted(scores[:, j], self.scores_of(parts[fold][j], widths), side="left")
+                each = self.scores_of(parts[fold][j], widths).astype(np.float64)
+                rounding = self.rounding(np.where(np.isfinite(each), np.abs(each), 0), scores.dtype)
+                smaller += np.searchsorted(scores[:, j], each - rounding, side="left")
             mask = smaller < self.rank
             if self.empty == "mode":
                 rows = np.flatnonzero(~mask.any(axis=1))

@@ -33,7 +33,7 @@ class SplitConformal(Calibrator):
     ----------
     units_ : (n,) unit of each calibration sample, or None if samples are exchangeable
     unit_sizes_ : (n,) size of each sample's whole unit, if only one category of its members is here, or None
-    thresholds_ : (d,) thresholds, ``+inf`` where n is too small for alpha
+    thresholds_ : (d,) thresholds, above a score by what it may be rounded, ``+inf`` where n is too small for alpha
 
     Examples
     --------
