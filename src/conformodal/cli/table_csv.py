@@ -7,7 +7,7 @@ import io
 import re
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from conformodal.core.arrays import AnyArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.files import read_file
 from conformodal.core.words import counted, listed
@@ -63,7 +64,7 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
     cells = _named_cells(raw, file, separator)
     notes = [f"{file}: {counted(len(cells), 'row')}, {counted(cells.shape[1], 'column')} separated by {separator!r}"]
     notes += [f"{counted(above, 'line')} above the names passed over"] if above else []
-    joined = np.flatnonzero(cells.apply(lambda column: column.str.contains(r"[\r\n]", na=False)).any(axis=1))
+    joined = np.flatnonzero(_each(cells, lambda cell: cell.str.contains(r"[\r\n]", na=False)).any(axis=1))
     if joined.size:
         number = counted(joined.size, "row has values", "rows have values")
         notes.append(f"{number} of several lines, such as row {joined[0] + 1}; a quote that is not closed joins rows")
@@ -94,7 +95,13 @@ def _rows(text: str, file: Path, shape: dict[str, Any], na_values: Sequence[str]
         raise TableError(f"{file}: cannot be read as CSV: {' '.join(str(exc).split())}") from None
     if raw.empty:
         raise TableError(f"{file}: cannot be read as CSV: holds no values")
-    return raw.apply(lambda column: column.str.strip().replace("", None))
+    return pd.DataFrame(_each(raw, lambda cell: cell.str.strip().replace("", None)), columns=raw.columns)
+
+
+def _each(cells: pd.DataFrame, change: Callable[[pd.Series], pd.Series]) -> AnyArray:
+    """A change of every cell, in one go: a thousand columns of their own take seconds."""
+    changed = change(pd.Series(cells.to_numpy(dtype=object).ravel(), dtype="str"))
+    return np.asarray(changed, dtype=object).reshape(cells.shape)
 
 
 def _named_cells(raw: pd.DataFrame, file: Path, separator: str) -> pd.DataFrame:
@@ -164,10 +171,9 @@ def _arrangement(text: str, file: Path, separators: str) -> tuple[int, str, int]
 
 def _decimal_mark(cells: pd.DataFrame, separator: str) -> str:
     marks = Counter[str]()
-    for column in cells:
-        for mark, other in (".,", ",."):  # three digits may follow a mark between thousands, but not after 0 or 1234
-            pattern = rf"[-+]?([\d' {other}]*\{mark}(\d{{1,2}}|\d{{4,}})|(0|\d{{4,}})?\{mark}\d{{3}})"
-            marks[mark] += int(cells[column].str.fullmatch(pattern).sum())
+    for mark, other in (".,", ",."):  # three digits may follow a mark between thousands, but not after 0 or 1234
+        pattern = rf"[-+]?([\d' {other}]*\{mark}(\d{{1,2}}|\d{{4,}})|(0|\d{{4,}})?\{mark}\d{{3}})"
+        marks[mark] = int(_each(cells, lambda cell, pattern=pattern: cell.str.fullmatch(pattern, na=False)).sum())  # type: ignore[misc]
     if marks["."] == marks[","]:
         return "," if separator == ";" else "."
     return max(marks, key=lambda mark: marks[mark])
@@ -176,6 +182,10 @@ def _decimal_mark(cells: pd.DataFrame, separator: str) -> str:
 def _numbers(file: Path, column: pd.Series, decimal: str, thousands: str | None) -> pd.Series | None:
     """The numbers of a column of text; None if it holds none."""
     given = column.dropna()
+    if decimal == "." and not thousands and given.size:
+        numbers = pd.to_numeric(given, errors="coerce").astype(float)
+        if np.isfinite(numbers).all():
+            return numbers.reindex(column.index)
     grouped = given.str.fullmatch(_GROUPED)
     digits = given
     if thousands:
@@ -220,11 +230,12 @@ def _dates(column: pd.Series, separator: str) -> pd.Series | None:
 def _doubts(column: pd.Series, values: pd.Series, written: CsvFormat) -> list[str]:
     """Notes on numbers that could mean another thing."""
     notes = []
-    decimals = column[values.notna() & column.str.contains("[.,]", na=False)]
-    if not (written.decimal or written.thousands) and len(decimals) and decimals.str.fullmatch(_GROUPED).all():
-        at = decimals.index[0]
+    marked = (at for at, cell in column[values.notna()].items() if "." in cell or "," in cell)
+    at = next(marked, None)
+    doubtful = at is not None and re.fullmatch(_GROUPED, column[at]) and not (written.decimal or written.thousands)
+    if doubtful and all(re.fullmatch(_GROUPED, column[other]) for other in marked):
         notes.append(f"{column[at]!r} is read as {values[at]:.12g}; else name --thousands or --decimal")
-    codes = values[values.isin(_CODES)]
+    codes = values[np.isin(values, _CODES)]
     if len(codes) > 1 and codes.iloc[0] in (values.min(), values.max()):
         notes.append(f"{codes.iloc[0]:g} occurs {len(codes)} times; --na-values={codes.iloc[0]:g} if it means missing")
     return notes
