@@ -5,10 +5,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-# Lines of Python. A budget only ever falls; the goals are 21,000 of source in 165 files, 14,000 of tests and 3,500 of
-# benchmarks.
-LINES = {"src": 27_000, "tests": 15_200, "benchmarks": 3_600, "experiments": 2_700, "scripts": 250}
-SOURCE_FILES = 215
+# Lines of Python. A budget only ever falls; the goals are 21,000 of source and 14,000 of tests.
+LINES = {"src": 24_000, "tests": 14_800, "benchmarks": 3_500, "experiments": 2_700, "scripts": 180}
+SOURCE_FILES = 165
 
 
 def python_files(folder):
