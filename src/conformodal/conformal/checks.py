@@ -86,6 +86,8 @@ def as_reals(values: Any, name: str) -> RealArray:
         return values
     if np.ma.is_masked(values):
         raise ConformodalError(f"{name} must not hold masked entries")
+    if hasattr(values, "toarray"):
+        raise ConformodalError(f"{name} must be a dense array, got a sparse one: call its toarray() first")
     try:
         arr = np.asarray(values)
         if arr.dtype.kind not in "biufO":
