@@ -98,4 +98,4 @@ def test_check_of_a_sound_data_set_says_so(tmp_path):
     scene(tmp_path / "a")
     result = run_ok("data", "check", tmp_path / "a")
     assert "nothing is wrong" in result.output
-    assert "6 of 6 frames, all rigid motions" in result.output
+    assert "poses: 6, all rigid motions" in result.output

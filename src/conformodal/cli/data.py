@@ -155,7 +155,8 @@ def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
 def _report_check(checked: DatasetCheck) -> list[str]:
     """Print what the data hold and what is wrong with them; returns the latter, one line each."""
     recordings = f" in {checked.n_recordings} recordings" if checked.n_recordings > 1 else ""
-    poses = f"{checked.n_poses} of {counted(checked.n_frames, 'frame')}"
+    missing = checked.n_poses < checked.n_frames
+    poses = f"{checked.n_poses} of {counted(checked.n_frames, 'frame')}" if missing else f"{checked.n_poses}"
     if checked.extent_m is not None:
         sides = " x ".join(f"{side:.2f}" for side in checked.extent_m)
         poses += f", all rigid motions; within {sides} {checked.unit}, path {checked.path_m:.2f} {checked.unit}"
