@@ -24,6 +24,23 @@ def test_membership_is_score_at_most_threshold(problem, seed, score, joint, alph
         np.testing.assert_array_equal(cal.predict(p).contains(y), scores <= cal.thresholds_)
 
 
+@pytest.mark.parametrize(
+    ("kind", "extra"),
+    [
+        (cm.SplitConformal, ()), (cm.MondrianConformal, (np.zeros(9),)), (cm.WeightedConformal, (np.ones(9),)),
+        (cm.ConditionalConformal, (np.ones(9),)),
+    ],
+)  # fmt: skip
+def test_rows_that_the_scales_have_seen_do_not_calibrate(problem, kind, extra):
+    bins, proba, y = problem(0, n=60)
+    order = np.random.default_rng(0).permutation(9)
+    for scaled in (9, 30):
+        calibrator = kind(bins, 0.1, "density", "max").fit_scale(proba[:scaled], y[:scaled])
+        with pytest.raises(cm.ConformodalError, match="fit_scale saw 9 of the 9 calibration rows"):
+            calibrator.calibrate(proba[order], y[order], *extra)
+    calibrator.calibrate(proba[31:40], y[31:40], *extra)
+
+
 @settings(deadline=None, max_examples=40)
 @given(st.integers(0, 10_000), st.sampled_from(SCORES))
 @example(130, "lac")  # so many values outside the edges that one target's threshold is infinite, the other's not

@@ -23,7 +23,7 @@ from conformodal.conformal.checks import (
 )
 from conformodal.conformal.rank import conformal_quantile
 from conformodal.conformal.regions import Regions
-from conformodal.conformal.scores import BUILT_IN, Aps, Lac, Score, resolve_score
+from conformodal.conformal.scores import BUILT_IN, Aps, Lac, Score, resolve_score, row_uniforms
 from conformodal.core.arrays import FloatArray, RealArray
 from conformodal.core.errors import ConformodalError
 
@@ -31,6 +31,8 @@ Empty = Literal["allow", "mode"]
 Joint = Literal["none", "bonferroni", "max"]
 # shares of a score by which it may be rounded, by the bytes of its floating type: some units of the last place
 _ROUNDING = {4: 2.0**-20, 8: 2.0**-40}
+# share of the calibration rows that the scales may have seen: rows of discrete scores may look alike by chance
+_MOST_SHARED = 0.8
 
 
 class Calibrator:
@@ -107,7 +109,7 @@ class Calibrator:
         The shift is the median; the scale is the distance from there to the rank of alpha / d, so that targets with
         equal upper tails contribute equally. The guarantee holds for any scales; they only balance the targets.
         Training rows will do with out-of-fold `proba`: scores of rows that were learnt from are too low, more so for
-        some targets, which makes sets larger. With calibration rows, coverage falls below 1 - alpha.
+        some targets, which makes sets larger. Calibration refuses rows that were given here.
         """
         scores, d = self.score_samples(proba, y), self.bins.n_targets
         loc, scale, tail = np.zeros(d), np.ones(d), as_alpha(self.alpha) / d
@@ -118,6 +120,7 @@ class Calibrator:
             loc[j] = np.minimum(conformal_quantile(finite, Fraction(1, 2)), finite.max())
             reach = float(np.minimum(conformal_quantile(finite, tail), finite.max()) - loc[j])
             scale[j] = reach if reach > 0 else float(finite.std()) or 1.0
+        self._scale_rows = _unique_rows(scores)
         return self.set_scale(scale, loc)
 
     def set_scale(self, scale: npt.ArrayLike = 1.0, loc: npt.ArrayLike = 0.0) -> Self:
@@ -179,6 +182,17 @@ class Calibrator:
         with np.errstate(over="ignore"):
             return np.asarray(((scores - loc) / scale).max(axis=1, keepdims=True))
 
+    def calibration_columns(self, scores: RealArray) -> RealArray:
+        """:meth:`columns` of calibration scores; rows that :meth:`fit_scale` saw would break the guarantee."""
+        if self.joint == "max" and self.bins.n_targets > 1 and len(scores) and hasattr(self, "_scale_rows"):
+            shared = int(np.isin(_unique_rows(scores), self._scale_rows).sum())
+            if shared > _MOST_SHARED * len(scores):
+                raise ConformodalError(
+                    f"fit_scale saw {shared} of the {len(scores)} calibration rows, with which coverage falls below "
+                    "1 - alpha: give it other rows, such as training rows scored out of fold"
+                )
+        return self.columns(scores)
+
     def per_target(self, thresholds: RealArray) -> RealArray:
         """Thresholds of the targets' own scores, (..., d), from those of the columns.
 
@@ -211,3 +225,9 @@ class Calibrator:
         if not hasattr(self, "scores_"):
             raise not_calibrated(f"{type(self).__name__} is not calibrated yet: call calibrate first")
         return self.scores_
+
+
+def _unique_rows(scores: RealArray) -> FloatArray:
+    """One number per row of scores (n, d), for the rows that occur once."""
+    numbers, counts = np.unique(row_uniforms(scores), return_counts=True)
+    return np.asarray(numbers[counts == 1])

@@ -48,7 +48,7 @@ class ConditionalConformal(Calibrator):
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, conditions: npt.ArrayLike) -> Self:
         """Score the calibration samples; `conditions` (n, c) are numbers, or zeros and ones for groups."""
         plain = self.score_samples(proba, y)
-        scores = self.columns(plain).astype(plain.dtype)  # which says how they are rounded
+        scores = self.calibration_columns(plain).astype(plain.dtype)  # which says how they are rounded
         if not len(scores):
             raise ConformodalError("y must hold at least one calibration sample")
         self.names_ = column_names(conditions, "conditions", None)

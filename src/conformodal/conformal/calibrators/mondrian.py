@@ -50,7 +50,7 @@ class MondrianConformal(Calibrator):
         return self
 
     def _set_thresholds(self) -> None:
-        scores, alpha = self.columns(self.scores_), self.alpha_per_target
+        scores, alpha = self.calibration_columns(self.scores_), self.alpha_per_target
         self.thresholds_, self.sizes_ = {}, {}
         labels, codes = factorise(self.groups_)
         for code, label in enumerate(labels):

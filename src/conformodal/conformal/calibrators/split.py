@@ -98,7 +98,7 @@ class SplitConformal(Calibrator):
         return self
 
     def _set_thresholds(self) -> None:
-        columns, rate = self.columns(self.scores_), self.alpha_per_target
+        columns, rate = self.calibration_columns(self.scores_), self.alpha_per_target
         if self.units_ is None:
             self.thresholds_ = self.per_target(conformal_quantile(columns, rate))
             return

@@ -54,7 +54,7 @@ class WeightedConformal(Calibrator):
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, weights: npt.ArrayLike) -> Self:
         """Score the calibration samples; `weights` (n,) are likelihood ratios, on any common scale."""
         plain = self.score_samples(proba, y)
-        scores = self.columns(plain).astype(plain.dtype)  # which says how they are rounded
+        scores = self.calibration_columns(plain).astype(plain.dtype)  # which says how they are rounded
         checked = _as_weights(weights)
         if checked.shape != (scores.shape[0],):
             raise ConformodalError(f"weights must have shape ({scores.shape[0]},), got {checked.shape}")
