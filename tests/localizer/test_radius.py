@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import hierarchical_maximum_quantile, hierarchical_quantile
 from conformodal.geometry import Trajectory
+from conformodal.localizer import LocalizationError
 from conformodal.localizer.radius import Guarantee, fit_pose_radius, pose_errors, recordings_needed
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.train import recording_errors
@@ -69,3 +70,9 @@ def test_frames_that_could_not_be_read_are_infinitely_far_off():
     assert [e[0].tolist() for e in errors] == [[0, 0, np.inf], [0, 0, 0]]
     assert fit_pose_radius(errors, 0.45, Guarantee.RECORDING, "smoothed").radius_m == np.inf
     assert fit_pose_radius(errors, 0.9, Guarantee.FRAME, "smoothed").radius_m == pytest.approx(0)
+
+
+@pytest.mark.parametrize("metres_per_rad", [0.0, -1.0, np.nan, np.inf])
+def test_a_weight_that_makes_no_radius_is_refused(metres_per_rad):
+    with pytest.raises(LocalizationError, match="metres_per_rad"):
+        fit_pose_radius([([0.2], [0.2])] * 9, 0.5, Guarantee.FRAME, "smoothed", metres_per_rad=metres_per_rad)

@@ -81,13 +81,6 @@ def depth_or_default(depth_m: float) -> float:
     return depth_m if np.isfinite(depth_m) else METRES_PER_RAD
 
 
-def check_metres_per_rad(metres_per_rad: float) -> float:
-    """The same number, refused unless it is positive and finite."""
-    if not (metres_per_rad > 0 and np.isfinite(metres_per_rad)):
-        raise LocalizationError(f"metres_per_rad must be positive and finite, got {metres_per_rad}")
-    return metres_per_rad
-
-
 def joint_error(position_m: npt.ArrayLike, angle_rad: npt.ArrayLike, metres_per_rad: float) -> FloatArray:
     """One error of a pose in radians: the larger of its angle and its distance over `metres_per_rad`."""
     return np.maximum(np.asarray(position_m, dtype=np.float64) / metres_per_rad, angle_rad)
@@ -115,6 +108,8 @@ def fit_pose_radius(
 
     For the others see :class:`PoseRadius`; `metres_per_rad` must not depend on the true poses of these recordings.
     """
+    if not (metres_per_rad > 0 and np.isfinite(metres_per_rad)):
+        raise LocalizationError(f"metres_per_rad must be positive and finite, got {metres_per_rad}")
     scores = [joint_error(metres, np.asarray(radians), metres_per_rad) for metres, radians in errors]
     quantile = hierarchical_quantile if guarantee is Guarantee.FRAME else hierarchical_maximum_quantile
     limit = quantile(scores, alpha)
