@@ -97,10 +97,10 @@ def test_frames_of_a_variable_rate_have_their_own_times(tmp_path):
     assert [round(f.image.mean() / 8) for f in frames] == list(range(30))
 
 
-def shown_by(path, *matrix):
+def shown_by(path, *matrix, header=b"tkhd", at=44):
     """An MP4 file with the a b c d of a display matrix."""
     content, (a, b, c, d) = mp4(path), (round(65536 * v) for v in matrix)
-    at = 44 + content.find(b"tkhd")
+    at += content.find(header)
     values = [a, b, 0, c, d, 0, 0, 0, 1 << 30]
     content[at : at + 36] = b"".join(v.to_bytes(4, signed=True) for v in values)
     path.write_bytes(content)
@@ -116,6 +116,13 @@ def test_a_video_that_is_turned_says_so_and_one_that_is_aslant_is_refused(tmp_pa
     assert open_stream(path).notes == ()
     with pytest.raises(SourceError, match=r"v\.mp4: .* turned by 45 degrees"):
         open_stream(shown_by(path, 0.707, 0.707, -0.707, 0.707))
+
+
+@pytest.mark.parametrize("matrix", [(-1, 0, 0, 1), (0, 1, 1, 0)])
+@pytest.mark.parametrize(("header", "at"), [(b"tkhd", 44), (b"mvhd", 40)])  # a track, the whole movie
+def test_a_video_that_is_shown_mirrored_is_refused(tmp_path, matrix, header, at):
+    with pytest.raises(SourceError, match=r"v\.mp4: .* mirrored"):
+        open_stream(shown_by(tmp_path / "v.mp4", *matrix, header=header, at=at))
 
 
 class FakeCapture:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import struct
 import time
 import warnings
 from collections.abc import Iterator
@@ -32,6 +34,25 @@ def _rgb(image: AnyArray) -> UInt8Array:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
+def _is_mirrored(path: Path) -> bool:
+    """Whether an MP4 or MOV file shows a track mirrored by the matrix in its header, which OpenCV passes over."""
+    with path.open("rb") as file:
+        while len(head := file.read(16)) == 16:
+            n_bytes = int.from_bytes(head[8:] if head[:4] == b"\0\0\0\1" else head[:4])
+            if n_bytes < 8:
+                return False
+            if head[4:8] == b"moov":
+                movie = head[8:] + file.read(n_bytes - 16) + bytes(99)
+                for match in re.finditer(rb"mvhd|tkhd", movie):
+                    at = match.end() + (36 if match[0] == b"mvhd" else 40) + 12 * (movie[match.end()] == 1)
+                    a, b, _, c, d = struct.unpack_from(">5i", movie, at)
+                    if a * d < b * c:
+                        return True
+                return False
+            file.seek(n_bytes - 16, 1)
+    return False
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
     capture = cv2.VideoCapture(os.path.abspath(path))  # what stands before a colon is taken for a protocol
@@ -45,7 +66,7 @@ def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
 
 
 def open_video(path: Path, camera: PinholeCamera | None = None) -> VideoStream:
-    """A video file; a :class:`SourceError` if it is not a video, or shown aslant."""
+    """A video file; a :class:`SourceError` if it is not a video, or shown aslant or mirrored."""
     with path.open("rb") as file:
         if (head := file.read(8)).startswith(_LISTS):
             raise SourceError(f"{path}: is a list of other files ({head.decode('ascii', 'replace')}...), not a video")
@@ -54,10 +75,11 @@ def open_video(path: Path, camera: PinholeCamera | None = None) -> VideoStream:
         size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         rate_hz, n_frames = capture.get(cv2.CAP_PROP_FPS), int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         pixel = capture.get(cv2.CAP_PROP_SAR_NUM), capture.get(cv2.CAP_PROP_SAR_DEN)
-    if turned_deg % 90:
+    if turned_deg % 90 or _is_mirrored(path):
+        how = f"turned by {turned_deg:.0f} degrees" if turned_deg % 90 else "mirrored"
         raise SourceError(
-            f"{path}: its metadata says that pictures are shown turned by {turned_deg:.0f} degrees, and only quarter "
-            "turns are applied; write them as they are shown, such as by 'ffmpeg -i IN.mp4 OUT.mp4'"
+            f"{path}: its metadata says that pictures are shown {how}, and only quarter turns are applied; write them "
+            "as they are shown, such as by 'ffmpeg -i IN.mp4 OUT.mp4'"
         )
     check_size(str(path), size if all(size) else None, camera)
     notes = []
