@@ -95,7 +95,8 @@ class ModelConfig:
         as in this project: image size, a frozen network, optimiser, epochs, and a hidden layer before the softmaxes.
         """
         training = replace(settings.pop("training", TrainingConfig()), components=None)
-        return cls(**{**_PAPER, "training": training, **settings, "method": Method.PAPER})
+        defaults = {**_PAPER, "split": SplitKind.INTERLEAVED, "training": training}
+        return cls(**{**defaults, **settings, "method": Method.PAPER})
 
     def record(self, data: str, n_frames: int, calibrate_on: str) -> dict[str, Any]:
         """As a model stores them, without alpha and the novelty level, which can change later."""
@@ -111,7 +112,6 @@ _CHOICES: dict[str, type[StrEnum]] = {
 }
 # Settings that define the paper's system.
 _PAPER: dict[str, Any] = {
-    "split": SplitKind.INTERLEAVED,
     "margin": 0.0,
     "sigma_bins": 0.0,
     "score": "lac",
