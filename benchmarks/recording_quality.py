@@ -17,7 +17,6 @@ from ablation import Models
 from common import ROOT, cached_json, parser_with_seeds, table_lines, write_page
 
 from conformodal.geometry import position_errors_m
-from conformodal.localizer.radius import depth_or_default
 from conformodal.quality.view_coverage import QUALITY, ViewScale, pose_coverage
 
 LARGE_M = 0.1
@@ -30,7 +29,7 @@ def measured(seed: int, runs: Path) -> dict[str, Any]:
     models = Models("redkitchen, blocks", seed, runs)
     model, sequence = models.trained(), models.sequence
     truth, test = sequence.require_truth(), model.split.test
-    scale = ViewScale.of(sequence.camera, depth_or_default(model.prior.depth_m))
+    scale = ViewScale.of(sequence.camera, model.prior.depth_m)
     coverage = pose_coverage(truth, sequence.recording, truth[model.localizer.frames], scale)
     run = models.run(model)
     most_probable = [c.positions_xyz[int(np.argmax(c.log_mass))] for c in run.localization.candidates]

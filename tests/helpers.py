@@ -44,15 +44,6 @@ def fill(folder: Path, files) -> None:
         (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
 
 
-def fly(folder: Path, seed: int, frames: slice, noise_seed: int) -> Path:
-    """Frames of another flight through the small world."""
-    from conformodal.corridor import CorridorWorld, Renderer, drone_path, write_flight
-
-    world = CorridorWorld(3, seed=3)
-    write_flight(folder, Renderer(world), drone_path(world, 1, seed=seed).poses_se3[frames], noise_seed=noise_seed)
-    return folder
-
-
 def region_record(name, timestamp_s, intervals, known_p=None, evidence=EvidenceType.GLOBAL):
     """The record of a frame with these intervals (m, 2) per target, whose region is their product."""
     region = SimpleNamespace(intervals=lambda _: intervals, product=True)

@@ -16,7 +16,6 @@ from conformodal.io import Split
 from conformodal.localizer.evidence import ErrorModel, FrameEvidence
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import MotionPrior
-from conformodal.localizer.radius import PoseRadius
 from conformodal.localizer.regions import PlaceNovelty, RegionRules
 from conformodal.localizer.sources.head import HeadSource
 from conformodal.localizer.sources.landmarks import LandmarkMap, LandmarkSource
@@ -89,7 +88,6 @@ def small_model():
         known_frames=FrameIdentities(rng.integers(0, 256, (20, 16)).astype(np.uint8), targets),
         expected_input=ExpectedInput(0.1, np.full(21, 1 / 21)),
         configuration={"method": "conformodal", "data": "numbers"},
-        radius=PoseRadius(0.1, 0.1, "frame", "smoothed", 9, 3.0),
         comparison=SourceComparison(100, 80, 3, 4, 0.5),
         path_rules=paths,
         quality=QualityRange(np.zeros(3), np.array([255.0, 255.0, 255.0])),

@@ -9,7 +9,6 @@ from conformodal.io import Split, SplitKind, make_split, read_recording
 from conformodal.io.convert import write_layout
 from conformodal.io.streams import open_stream
 from conformodal.io.streams.frames import prefetch
-from conformodal.localizer.radius import Guarantee, PoseRadius
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
 
 ROWS = np.arange(4)
@@ -28,7 +27,6 @@ ENTRIES = [
     (lambda v: ModelConfig(method=v), "method"),
     (lambda v: ModelConfig(split=v), "split"),
     (lambda v: ModelConfig(calibrate_on=v), "calibrate_on"),
-    (lambda v: PoseRadius(1.0, 0.1, v, "online", 9), "guarantee"),
 ]
 
 
@@ -47,7 +45,6 @@ FIELDS = [
     (Split("recordings", **PARTS), "kind", SplitKind.RECORDINGS),
     (ModelConfig(method="conformodal"), "method", Method.CONFORMODAL),
     (ModelConfig(calibrate_on="stretches"), "calibrate_on", Calibration.STRETCHES),
-    (PoseRadius(1.0, 0.1, "recording", "online", 9), "guarantee", Guarantee.RECORDING),
 ]
 
 

@@ -15,7 +15,7 @@ from conformodal.io.pose_files import read_tum
 from conformodal.pipeline.guarantee import describe_guarantee
 from conformodal.pipeline.results import read_region_records
 from conformodal.pipeline.store import load_model
-from tests.helpers import fly, invoke, refusal, run_ok
+from tests.helpers import invoke, refusal, run_ok
 
 
 @pytest.fixture(scope="module")
@@ -148,42 +148,6 @@ def test_a_split_in_blocks_has_no_coverage_guarantee(small_world, tmp_path):
     assert coverage["assumption"] == f"{describe_guarantee(model)} Coverage here is an observation."
     assert coverage["joint_band_99"] is None
     assert "band_99" not in coverage["targets"]["x"]
-
-
-@pytest.fixture(scope="module")
-def flights(small_world, tmp_path_factory):
-    """Short flights that the small world's model was not trained on."""
-    folder = tmp_path_factory.mktemp("flights")
-    for k in range(5):
-        fly(folder / f"seq-{k:02d}", 100 + k, slice(20 * k, 20 * k + 6), 1000 * k)
-    return folder
-
-
-def test_calibrate_gives_the_chosen_pose_a_radius(small_world, flights, tmp_path):
-    model = shutil.copytree(small_world.model, tmp_path / "model")
-    result = run_ok("calibrate", model, flights, "--alpha", "0.2", "--guarantee", "recording")
-    assert "every frame of it is within the radius with probability at least 0.8" in " ".join(result.output.split())
-    result = run_ok("run", model, flights, "--out", tmp_path / "out")
-    radius = json.loads((tmp_path / "out" / "metrics.json").read_text())["radius"]
-    assert radius["n_recordings"] == 5
-    # of five maxima the largest: all frames lie within, but for rounding of the one that made it
-    assert radius["share_held"] >= 1 - 1.01 / 30
-    assert radius["radius_m"] > 0
-    assert f"radius of {radius['radius_m']:.4f} m" in (tmp_path / "out" / "report.html").read_text()
-
-    run_ok("run", model, small_world.folder, "--part", "test", "--out", tmp_path / "part")
-    assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None  # other frames: no guarantee
-    run_ok("run", model, flights, "--limit", 3, "--out", tmp_path / "part")
-    assert json.loads((tmp_path / "part" / "metrics.json").read_text())["radius"] is None
-
-    result = run_ok("calibrate", model, flights)
-    text = " ".join(result.output.split())
-    assert "The radius is infinite: 5 recordings are too few for alpha = 0.1; at least 9" in text
-    result = invoke("run", model, flights, "--out", tmp_path / "out")
-    radius = json.loads((tmp_path / "out" / "metrics.json").read_text())["radius"]
-    assert radius["radius_m"] is None
-    assert radius["share_held"] == 1
-    assert "infinity" in result.output
 
 
 def test_test_frames_with_a_known_picture_are_counted(small_world, tmp_path):

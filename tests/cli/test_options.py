@@ -14,7 +14,6 @@ from tests.io.streams.test_streams import video as write_video
 COMMANDS = {
     "train": "train data --out out",
     "run": "run model source.mcap --out out",
-    "calibrate": "calibrate model data",
     "demo": "demo --out out",
 }
 # command, options, and what the message names
@@ -22,7 +21,7 @@ REFUSED = [
     *(("train", f"--{name}={value}", name) for name in ("bins", "epochs") for value in (0, 10**7, "x")),
     *(("train", f"--{name}={value}", name) for name in ("sigma", "dropout") for value in (-0.5, "nan")),
     *(("train", f"--test={value}", "test") for value in (0, 1, "nan")),
-    *((command, f"--alpha={value}", "alpha") for command in ("train", "calibrate") for value in (0, 1, 90, "nan")),
+    *(("train", f"--alpha={value}", "alpha") for value in (0, 1, 90, "nan")),
     *((command, f"--seed={value}", "seed") for command in ("train", "demo") for value in (-1, 0.5)),
     *((command, "--novelty-level=1.5", "novelty") for command in ("train", "run")),
     ("train", "--calibration-share=0", "calibration"),
@@ -38,9 +37,6 @@ REFUSED = [
     ("train", "--method=paper --score=hpd", "score"),
     ("train", "--method=paper --sigma=0.7", "sigma"),
     ("train", "--method=paper --novelty-level=0.015", "novelty"),
-    ("calibrate", "--method=best", "--method"),
-    ("calibrate", "--metres-per-radian=0", "metres-per-radian"),
-    ("calibrate", "", "model"),
     ("run", "", "model"),
     ("run", "--limit=0", "limit"),
     ("run", "--save=.", "--save"),

@@ -12,7 +12,7 @@ from conformodal.cli import demo
 from conformodal.cli.main import app
 from conformodal.io.pose_files import read_tum
 from conformodal.pipeline.results import read_region_records, read_trajectories
-from tests.helpers import refusal, run_ok
+from tests.helpers import run_ok
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +43,6 @@ def test_a_run_answers_with_greedy_and_nothing_of_ours(trained, small_world):
     checked = run_ok("evaluate", out, "--truth", out / "truth.tum")
     assert "greedy" in checked.output
     assert "smoothed" not in checked.output
-
-
-def test_the_papers_answer_gets_no_radius(trained, small_world):
-    before = (trained / "model" / "model.json").read_bytes()
-    assert "gets no radius" in refusal("calibrate", trained / "model", small_world.folder)
-    assert (trained / "model" / "model.json").read_bytes() == before
 
 
 @pytest.fixture

@@ -12,10 +12,8 @@ from conformodal.cli.answering import Part, part_frames
 from conformodal.geometry import PinholeCamera, Trajectory
 from conformodal.io import Recording, read_recording
 from conformodal.pipeline.config import OdometryError
-from conformodal.pipeline.identity import data_digest, identify, same_poses
+from conformodal.pipeline.identity import identify, same_poses
 from conformodal.pipeline.store import load_model, save_model
-from conformodal.pipeline.train import calibrate_selection
-from tests.helpers import fly
 
 CAMERA = PinholeCamera(10.0, 10.0, 4.0, 3.0, 8, 6)
 
@@ -63,18 +61,6 @@ def test_poses_are_the_same_but_for_rounding_and_sign(tmp_path):
     assert same_poses(poses, moved).tolist() == [True, False, True, False]
 
 
-def test_the_digest_of_a_data_set_tells_what_results_rest_on(tmp_path):
-    recording = frames(tmp_path / "a", range(4))
-    assert data_digest(recording) == data_digest(frames(tmp_path / "b", range(4)))
-    others = (
-        frames(tmp_path / "c", [0, 1, 2, 9]),
-        replace(recording, camera=replace(CAMERA, fx=11.0)),
-        replace(recording, timestamps_s=recording.timestamps_s + 1),
-        replace(recording, poses=None),
-    )
-    assert len({data_digest(sequence) for sequence in (recording, *others)}) == 5
-
-
 def test_a_part_is_found_whatever_the_frames_are_called(model, sequence, copy, tmp_path):
     """Renamed to other numbers, in another order, at another rate; and by a model that was saved."""
     save_model(model, tmp_path / "model")
@@ -105,14 +91,3 @@ def test_data_that_is_not_the_models_has_no_part(model, sequence, tmp_path):
         part_frames(model, replace(sequence, camera=camera), Part.TEST)
     same = replace(sequence, camera=replace(sequence.camera, distortion=(0.0,) * 4))
     assert len(part_frames(model, same, Part.TEST)) == len(test)
-
-
-def test_calibrate_refuses_data_of_which_it_knows_a_frame(model, copy, tmp_path):
-    known = read_recording(copy)
-    with pytest.raises(OdometryError, match=rf"frame-000000.*as {len(known)} of {len(known)} frames are"):
-        calibrate_selection(model, known)
-    flight = fly(tmp_path / "flight", 50, slice(4), 9)
-    assert not model.known_frames.known(identify(read_recording(flight))).any()
-    shutil.copy(known.image_paths[int(model.split.train[5])], flight / "frame-000002.color.png")
-    with pytest.raises(OdometryError, match=r"frame-000002.*as 1 of 4 frames are"):
-        calibrate_selection(model, read_recording(flight))

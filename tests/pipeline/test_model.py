@@ -11,7 +11,6 @@ from conformodal.features.settings import TrainingConfig
 from conformodal.io import Disturbance, read_recording
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.radius import Guarantee, PoseRadius
 from conformodal.localizer.regions import EvidenceType, RegionRules
 from conformodal.pipeline.config import ModelConfig, OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
@@ -94,15 +93,6 @@ def test_no_source_has_seen_a_frame_that_calibrates_or_tests(model):
     held_out = np.concatenate((model.split.calibration, model.split.test))
     for source in model.localizer.sources:
         assert not np.isin(held_out, source.frames).any()
-
-
-@pytest.mark.parametrize("limit", [0.25, np.inf])
-def test_a_radius_is_saved_with_its_model(model, tmp_path, limit):
-    radius = PoseRadius(limit, 0.1, Guarantee.FRAME, "smoothed", 9, metres_per_rad=3.0)
-    save_model(replace(model, radius=radius), tmp_path)
-    back = load_model(tmp_path).radius
-    assert back == radius
-    assert back.radius_m == 3 * limit
 
 
 @pytest.mark.parametrize(("joint", "score"), [("max", "density"), ("none", "lac")])

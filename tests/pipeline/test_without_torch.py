@@ -46,16 +46,6 @@ def test_what_is_missing_is_named_with_the_line_that_installs_it(small_world, tm
     assert "Traceback" not in found.stderr
 
 
-def test_radii_need_no_package_for_images():
-    found = run_script("""
-        import sys
-        import conformodal.localizer.radius
-        heavy = {"cv2", "PIL", "onnxruntime", "poselib", "safetensors", "torch"} & set(sys.modules)
-        assert not heavy, heavy
-    """)
-    assert found.returncode == 0, found.stderr
-
-
 def test_settings_are_checked_without_torch():
     found = run_script("""
         import sys

@@ -23,7 +23,7 @@ from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.estimates import Estimate
 from conformodal.pipeline.estimator import odometry_of
-from conformodal.pipeline.evaluate import coverage_table, error_table, radius_table
+from conformodal.pipeline.evaluate import coverage_table, error_table
 from conformodal.pipeline.identity import identify, same_poses
 from conformodal.pipeline.model import HINDSIGHT, ONLINE, PoseModel
 from conformodal.pipeline.provenance import provenance
@@ -172,9 +172,6 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
     }
     truth, paths = runner.truth, answers.trajectories
     rows = None if truth is None else np.array(runner.rows_with_truth)
-    # whole recordings calibrated it: some of a recording's frames alone are answered otherwise, and it tells nothing
-    radius = model.radius if answers.whole and part is Part.ALL else None
-    metrics["radius"] = radius_table(radius, paths, truth, rows)
     if truth is not None and rows is not None:
         paths = {name: path[rows] for name, path in paths.items()}
         recognised = runner.statistics.kinds != EvidenceType.UNKNOWN
@@ -209,7 +206,7 @@ def write_answers(
 
 def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:
     """What was answered, and what a user must know of it: the first lines of the page and on the terminal."""
-    n, n_unknown, radius = counted(metrics["n_answered"], "frame"), metrics["n_unknown"], metrics["radius"]
+    n, n_unknown = counted(metrics["n_answered"], "frame"), metrics["n_unknown"]
     lines = [
         f"{name}: {n} answered, {metrics['split_note']}",
         f"Frames not reliable (motion or place): {metrics['n_unreliable']}; without an image: "
@@ -225,11 +222,6 @@ def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:
             f"The region is unbounded in some target in {n_unbounded} of {n}, which show a known place: too few "
             "calibration frames have the same evidence type for this alpha, or too many lie beyond the training range."
         )
-    if radius is not None:
-        size = "infinity: too few recordings calibrate it"
-        if radius["radius_m"] is not None and radius["radius_deg"] is not None:
-            size = f"{radius['radius_m']:.4f} m and {radius['radius_deg']:.2f} degrees"
-        lines.append(f"The {radius['method']} pose has a radius of {size}. {radius['assumption']}")
     if metrics["stopped"]:
         lines.append(f"Stopped early: {metrics['stopped']}. All results up to then are here.")
     return lines

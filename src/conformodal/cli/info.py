@@ -59,7 +59,6 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
         "bounded_regions": {one.evidence.name.lower(): one.finite for one in by_type},
         "guarantee": describe_guarantee(model),
         "guarantees": [one.describe() for one in by_type],
-        "radius_m": None if model.radius is None else model.radius.radius_m,
         "bytes": {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()},
         "network": config.name,
         "network_ms": round(float(np.median(times)), 2),
@@ -69,7 +68,6 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
 def describe_facts(facts: dict[str, Any]) -> list[str]:
     """The facts as lines."""
     camera, parts = facts["camera"], ", ".join(f"{n} for {part}" for part, n in facts["frames"].items())
-    radius = f"{facts['radius_m']:.3f} m" if facts["radius_m"] is not None else "none (conformodal calibrate gives one)"
     return [
         f"trained on {facts['data']}: frames {parts} (split {facts['split']}, seed {facts['seed']})",
         f"camera: {camera['width']}x{camera['height']}, fx {camera['fx']:.1f}, fy {camera['fy']:.1f}",
@@ -78,7 +76,6 @@ def describe_facts(facts: dict[str, Any]) -> list[str]:
         *facts["guarantees"],
         f"images whose p-value of showing a known place is at most {facts['novelty_level']:g} "
         f"({facts['recognised_level']:g} where a place is recognised) get an unbounded region",
-        f"radius around the chosen pose: {radius}",
         f"size: {sum(facts['bytes'].values()) / 1e6:.1f} MB; network {facts['network']}: "
         f"{facts['network_ms']:.1f} ms per image here",
     ]

@@ -21,7 +21,6 @@ COMMANDS = {
     "demo": "Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and "
     "motion.",
     "train": "Train on a data set with poses, calibrate, and save the model.",
-    "calibrate": "Give the chosen pose a radius with a coverage guarantee, calibrated on whole recordings.",
     "run": "Compute regions and the trajectory of sources with a saved model, frame by frame. Ctrl-C stops it and "
     "keeps the results.",
     "evaluate": "Compare results with true poses, interpolated by time. Writes OUT/evaluation/metrics.json.",

@@ -13,7 +13,6 @@ from conformodal.core.words import finite_or_none
 from conformodal.geometry import Trajectory, trajectory_errors
 from conformodal.localizer.candidates import TARGET_NAMES, pose_targets
 from conformodal.localizer.observations import same_place
-from conformodal.localizer.radius import PoseRadius
 from conformodal.localizer.regions import EvidenceType, PoseRegions
 
 from .guarantee import describe_guarantee
@@ -180,28 +179,3 @@ def bounded_coverage(held: BoolArray, bounded: BoolArray) -> dict[str, Any]:
 
 def _mean(values: BoolArray | FloatArray | IntArray) -> float | None:
     return float(values.mean()) if values.size else None
-
-
-def radius_table(
-    radius: PoseRadius | None,
-    trajectories: dict[str, Trajectory],
-    truth: Trajectory | None,
-    frames: IntArray | None = None,
-) -> dict[str, Any] | None:
-    """The chosen pose's radius, what it guarantees, and how many frames it held if the truth of `frames` is known."""
-    if radius is None:
-        return None
-    estimate = trajectories[radius.method]
-    held = (
-        None if truth is None else float(radius.holds(estimate if frames is None else estimate[frames], truth).mean())
-    )
-    return {
-        "radius_m": finite_or_none(radius.radius_m),
-        "radius_deg": finite_or_none(radius.radius_deg),
-        "alpha": radius.alpha,
-        "guarantee": str(radius.guarantee),
-        "method": radius.method,
-        "n_recordings": radius.n_recordings,
-        "share_held": held,
-        "assumption": radius.assumption,
-    }

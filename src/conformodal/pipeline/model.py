@@ -22,7 +22,6 @@ from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.localizer import Beliefs, Localizer
 from conformodal.localizer.observations import MotionPrior, Posterior
-from conformodal.localizer.radius import PoseRadius
 from conformodal.localizer.regions import (
     SHARE_RECOGNISED,
     EvidenceType,
@@ -138,7 +137,6 @@ class PoseModel:
     expected_input: ExpectedInput
     # settings except alpha and the novelty level, which can change; see :attr:`settings`
     configuration: dict[str, Any] = field(default_factory=dict)
-    radius: PoseRadius | None = None  # of the chosen pose; None before it is calibrated
     comparison: SourceComparison | None = None  # where stretches calibrate
     # posterior to region: the calibration of each of :data:`PATHS`; empty where no motion was measured
     path_rules: dict[str, SplitConformal] = field(default_factory=dict)

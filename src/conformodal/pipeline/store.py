@@ -37,16 +37,15 @@ from conformodal.io import Split, SplitKind
 from conformodal.localizer.candidates import TARGET_NAMES
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import MotionPrior
-from conformodal.localizer.radius import Guarantee, PoseRadius
 from conformodal.localizer.regions import PlaceNovelty, RegionRules
 from conformodal.localizer.sources.registry import SourceState, find_source
 
 from .config import Method
 from .expected_input import ExpectedInput
 from .identity import FrameIdentities
-from .model import METHODS, PATHS, PoseModel, SourceComparison, path_rule
+from .model import PATHS, PoseModel, SourceComparison, path_rule
 
-FORMAT = "conformodal-model-22"
+FORMAT = "conformodal-model-23"
 _JSON = "model.json"
 _FILES = {"weights": "weights-{}.safetensors", "network": "network-{}.onnx"}  # with the first digits of their digests
 # what reading damaged files raises: ValueError is every error of this package too, RuntimeError JSON without end
@@ -113,17 +112,6 @@ _RECORD: dict[str, Any] = {  # the content of model.json, without its digest
     "split": {"kind": SplitKind, "seed": RANGES["seed"]},
     "step_s": _POSITIVE,
     "configuration": {"method": Method, "data": str, ...: object},
-    "radius": (
-        None,
-        {
-            "radius_rad": (None, Range(0, 1e9)),
-            "alpha": _RATE,
-            "guarantee": Guarantee,
-            "method": {*METHODS},
-            "n_recordings": _COUNT,
-            "metres_per_rad": _POSITIVE,
-        },
-    ),
     "comparison": (
         None,
         {
@@ -165,7 +153,6 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "split": {"kind": str(model.split.kind), "seed": model.split.seed},
         "step_s": model.expected_input.step_s,
         "configuration": model.configuration,
-        "radius": None if model.radius is None else _finite(asdict(model.radius)),
         "comparison": None if model.comparison is None else asdict(model.comparison),
         **{name: hashlib.sha256(contents[name]).hexdigest() for name in _FILES},
     }
@@ -244,7 +231,7 @@ def load_model(folder: Path | str) -> PoseModel:
 
 
 def model_digest(folder: Path) -> str | None:
-    """Digest of the trained model in a folder, without its radius; None without a model."""
+    """Digest of the trained model in a folder; None without a model."""
     try:
         return str(_read_record(folder / _JSON)["weights"])
     except (ModelFileError, KeyError):
@@ -279,7 +266,7 @@ def _read(folder: Path, name: str, record: dict[str, Any]) -> bytes:
 
 
 def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path) -> PoseModel:
-    stated, split, radius, comparison = (record[name] for name in ("calibration", "split", "radius", "comparison"))
+    stated, split, comparison = (record[name] for name in ("calibration", "split", "comparison"))
     grid = rows, columns = tuple(record["backbone"]["grid"])
     config = BackboneConfig(**record["backbone"] | {"grid": grid})
     with _naming("backbone"):
@@ -303,8 +290,6 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path)
         rules = _rules(bins if paper else localizer.cells, stated, arrays, novelty)
     with _naming("path"):
         path_rules = {path: _path_rule(rules, arrays, path) for path in PATHS if f"path.{path}.scores" in arrays}
-    if radius is not None and radius["radius_rad"] is None:
-        radius["radius_rad"] = math.inf
     return PoseModel(
         backbone=backbone,
         localizer=localizer,
@@ -316,7 +301,6 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path)
         known_frames=FrameIdentities(arrays["frames.files"], arrays["frames.poses"]),
         expected_input=ExpectedInput(float(record["step_s"]), arrays["colours"]),
         configuration=record["configuration"],
-        radius=None if radius is None else PoseRadius(**radius),
         comparison=None if comparison is None else SourceComparison(**comparison),
         path_rules=path_rules,
         quality=QualityRange(*arrays["quality"]) if "quality" in arrays else None,

@@ -1,4 +1,4 @@
-"""Training and calibrating a pose model on recordings with poses, and a radius around its answers to others."""
+"""Training and calibrating a pose model on recordings with poses."""
 
 from __future__ import annotations
 
@@ -8,21 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from conformodal.conformal import SplitConformal
-from conformodal.conformal.checks import Alpha
-from conformodal.core.arrays import FloatArray, IntArray, rows_by_label
 from conformodal.core.extras import require_extra
 from conformodal.core.files import default_cache_dir
 from conformodal.core.parallel import side_by_side
 from conformodal.core.progress import StageProgress, stage_of
-from conformodal.core.words import counted
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.geometry import RelativeMotion, Trajectory, sign_reference
+from conformodal.geometry import RelativeMotion, sign_reference
 from conformodal.io import Recording, make_split, with_random_calibration
 from conformodal.io.recording import join_recordings
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import MotionPrior, fit_motion_prior
-from conformodal.localizer.radius import Guarantee, PoseRadius, depth_or_default, fit_pose_radius, pose_errors
 from conformodal.localizer.regions import PlaceNovelty
 from conformodal.tracking.motions import measure_motions
 
@@ -34,12 +30,10 @@ from .calibrate import (
     compare_sources,
     paper_rules,
 )
-from .config import Method, ModelConfig, OdometryError
-from .estimates import OdometryRun
-from .estimator import VisualOdometry
+from .config import Method, ModelConfig
 from .expected_input import ExpectedInput
 from .identity import identify
-from .model import METHODS, PoseModel
+from .model import PoseModel
 from .training_data import Folds, TrainingData, make_folds
 
 
@@ -157,59 +151,3 @@ def _motion_prior(data: TrainingData, config: ModelConfig) -> MotionPrior:
         return prior
     depth, spread = data.depths
     return replace(prior, depth_m=depth, depth_spread=spread)
-
-
-def calibrate_selection(
-    model: PoseModel,
-    sequence: Recording,
-    alpha: Alpha = 0.1,
-    guarantee: Guarantee = Guarantee.FRAME,
-    method: str = METHODS[0],
-    metres_per_rad: float | None = None,
-    *,
-    progress: StageProgress | None = None,
-) -> PoseRadius:
-    """Answer whole recordings with known poses, and turn the errors into a radius around the chosen pose.
-
-    A region keeps its guarantee because nothing was chosen; choosing one place in it voids that. Here the whole
-    procedure, from frames to one trajectory, gets a guarantee of its own.
-
-    Parameters
-    ----------
-    model, sequence
-        The model, and other recordings than it was trained on: fewer than ``1 / alpha - 1`` leave the radius infinite.
-    alpha, guarantee, method
-        See :class:`PoseRadius`.
-    metres_per_rad
-        How many metres of position weigh as much as one radian; None for the scene's depth, as training found it. The
-        guarantee is exact as long as the true poses of these recordings had no part in choosing it.
-    progress
-        As for :meth:`~conformodal.VisualOdometry.process`.
-
-    Raises
-    ------
-    OdometryError
-        If a frame is one of the data set that the model was trained on. A frame of its test part is refused too: the
-        model knows the recording around it.
-    """
-    trained_on = model.known_frames.known(identify(sequence))
-    if trained_on.any():
-        raise OdometryError(
-            f"{sequence.image_paths[int(trained_on.argmax())]}: is a frame of the data set the model was trained on, "
-            f"as {trained_on.sum()} of {counted(len(trained_on), 'frame')} are; calibrate on other recordings"
-        )
-    truth = sequence.require_truth()
-    run = VisualOdometry(model).process(sequence, progress=progress)
-    # the depth was learnt in training, so it knows nothing of these recordings
-    depth = depth_or_default(model.prior.depth_m) if metres_per_rad is None else metres_per_rad
-    errors = recording_errors(run, method, truth, sequence.recording)
-    return fit_pose_radius(errors, alpha, guarantee, method, metres_per_rad=depth)
-
-
-def recording_errors(
-    run: OdometryRun, method: str, truth: Trajectory, recording: IntArray
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Errors of a run, one pair of vectors per recording. A frame that could not be read is infinitely far off."""
-    position, angle = np.full(len(truth), np.inf), np.full(len(truth), np.inf)
-    position[run.frames], angle[run.frames] = pose_errors(run.trajectories[method], truth[run.frames])
-    return [(position[rows], angle[rows]) for rows in rows_by_label(recording)]

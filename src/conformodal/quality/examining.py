@@ -14,7 +14,6 @@ from conformodal.features.local import LocalFeatures
 from conformodal.geometry import PoseError, Trajectory
 from conformodal.io import ImageError, Recording
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.radius import depth_or_default
 from conformodal.pipeline.guarantee import EvidenceGuarantee, guarantees
 from conformodal.pipeline.identity import identify
 from conformodal.pipeline.model import PoseModel
@@ -73,7 +72,7 @@ def examine(
             trained = model.known_frames.find(identify(sequence))[frames]
         rows, depth_m = model.known_frames.poses[frames], model.prior.depth_m
         views = Trajectory(np.arange(float(len(rows))), rows[:, :3], rows[:, 3:])
-    scale, coverage = ViewScale.of(sequence.camera, depth_or_default(depth_m)), None
+    scale, coverage = ViewScale.of(sequence.camera, depth_m), None
     if poses is not None and views is not None:
         coverage = pose_coverage(poses, recording[posed], views, scale, posed)
     if model is None:

@@ -16,6 +16,7 @@ from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.model import Localization
 
 Point = tuple[float, float, float]
+_USUAL_DEPTH_M = 2.0  # of a room
 
 
 @dataclass(frozen=True)
@@ -63,9 +64,9 @@ class ViewScale:
 
     @classmethod
     def of(cls, camera: PinholeCamera, depth_m: float) -> Self:
-        """For a camera in a scene of this depth."""
+        """For a camera in a scene of this depth; where it is NaN, of the depth of a usual room."""
         half = min(camera.width / camera.fx, camera.height / camera.fy) / 2
-        return cls(depth_m, float(2 * np.arctan(half)))
+        return cls(depth_m if np.isfinite(depth_m) else _USUAL_DEPTH_M, float(2 * np.arctan(half)))
 
     def change(self, one: Trajectory, other: Trajectory) -> ViewChange:
         """The change between n pairs of poses."""
