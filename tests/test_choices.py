@@ -6,7 +6,6 @@ import pytest
 from conformodal.conformal import ConformodalError
 from conformodal.geometry import Trajectory, align
 from conformodal.io import Split, SplitKind, make_split, read_recording
-from conformodal.io.convert import write_layout
 from conformodal.io.streams import open_stream
 from conformodal.io.streams.frames import prefetch
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
@@ -19,7 +18,6 @@ PARTS = {"seed": 0, "train": ROWS, "calibration": ROWS, "test": ROWS}
 ENTRIES = [
     (lambda v: read_recording("nowhere", v), "format"),
     (lambda v: open_stream("nowhere", v), "format"),
-    (lambda v: write_layout(None, v, None, None, None), "layout"),
     (lambda v: next(prefetch(None, pace=v)), "pace"),
     (lambda v: Split(v, **PARTS), "split"),
     (lambda v: make_split(ROWS, v), "split"),

@@ -15,12 +15,13 @@ from conformodal.geometry import (
     relative_errors,
 )
 from conformodal.geometry.metrics import straightness, umeyama
-from conformodal.io.pose_files import KITTI_RATE_HZ, kitti_table, read_tum
+from conformodal.io.layouts.kitti import RATE_HZ, kitti_table
+from conformodal.io.pose_files import read_tum
 
 
 def read_kitti(path):
     rows = kitti_table(path).rows
-    return Trajectory(np.arange(len(rows)) / KITTI_RATE_HZ, rows[:, :3], rows[:, 3:])
+    return Trajectory(np.arange(len(rows)) / RATE_HZ, rows[:, :3], rows[:, 3:])
 
 
 PAIRS = {

@@ -14,7 +14,8 @@ from conformodal.geometry import (
     trajectory_errors,
 )
 from conformodal.geometry.poses import check_rotation_matrices
-from conformodal.io.pose_files import KITTI_RATE_HZ, euroc_table, kitti_table, read_tum
+from conformodal.io.layouts.kitti import RATE_HZ, kitti_table
+from conformodal.io.pose_files import euroc_table, read_tum
 
 
 def random_trajectory(n=20, seed=0):
@@ -86,7 +87,7 @@ def test_bad_input_is_refused(make, match):
 
 def read_kitti(file):
     rows = kitti_table(file).rows
-    return Trajectory(np.arange(len(rows)) / KITTI_RATE_HZ, rows[:, :3], rows[:, 3:])
+    return Trajectory(np.arange(len(rows)) / RATE_HZ, rows[:, :3], rows[:, 3:])
 
 
 def read_euroc(file):

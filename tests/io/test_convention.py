@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Trajectory, poses_at
-from conformodal.io import DatasetError, convention, read_recording
-from conformodal.io.convention import FITTED, fit_of_poses, with_fitted_focal
+from conformodal.io import convention, read_recording
+from conformodal.io.convention import fit_of_poses
 from conformodal.io.layouts.nerf import OPENGL_AXES
 
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.io.DatasetWarning")
@@ -20,10 +20,10 @@ MIRRORED = np.diag([1.0, -1.0, 1.0, 1.0])  # y up becomes y down
 
 @pytest.fixture(autouse=True)
 def images_are_matched_once(monkeypatch):
-    def match(recording, *options):
-        key = (recording.image_paths, options)
+    def match(recording):
+        key = recording.image_paths
         if key not in _matched:
-            _matched[key] = _match_pairs(recording, *options)
+            _matched[key] = _match_pairs(recording)
         return _matched[key]
 
     monkeypatch.setattr(convention, "_match_pairs", match)
@@ -91,7 +91,7 @@ def test_another_focal_length_is_told(real_data, factor):
     camera = recording.camera
     cause = fit_of_poses(replace(recording, camera=replace(camera, fx=factor * camera.fx, fy=factor * camera.fy))).cause
     low, high = map(int, re.search(r"imply a focal length of (\d+) to (\d+) px", cause).groups())
-    assert 0.94 * camera.fx < low < high < 1.06 * camera.fx
+    assert 0.9 * camera.fx < low < camera.fx < high < 1.1 * camera.fx
 
 
 def test_poses_of_other_images_are_told_without_blame(real_data):
@@ -99,23 +99,3 @@ def test_poses_of_other_images_are_told_without_blame(real_data):
     truth = recording.require_truth()
     backwards = Trajectory(truth.timestamps_s, truth.positions_xyz[::-1], truth.orientations_quat_wxyz[::-1])
     assert "belong to other images" in fit_of_poses(replace(recording, poses=backwards)).cause
-
-
-def without_lens(recording):
-    camera = recording.camera
-    middle = {"cx": camera.width / 2, "cy": camera.height / 2}
-    return replace(recording, camera=replace(camera, fx=100.0, fy=100.0, distortion=(), **middle))
-
-
-@pytest.mark.parametrize(("folder", "focal"), [("7scenes/redkitchen", 525.5), ("tum/fr1_xyz", 516.9)])
-def test_a_fitted_focal_length_lies_in_its_range(real_data, folder, focal):
-    """Of redkitchen, the published truth by COLMAP; of TUM's first camera, whose lens is not modelled, its makers'."""
-    fitted = with_fitted_focal(without_lens(read_recording(real_data(*folder.split("/")))))
-    low, high = map(int, re.search(r"between (\d+) and (\d+)", dict(fitted.notes)[FITTED]).groups())
-    assert low < focal < high < 1.25 * low
-    assert fitted.camera.fx == pytest.approx(focal, rel=0.06)
-
-
-def test_a_camera_that_hardly_turns_does_not_show_its_focal_length(real_data):
-    with pytest.raises(DatasetError, match=r"turns by 0\.1\d degrees"):
-        with_fitted_focal(without_lens(read_recording(real_data("kitti", "sequences", "06"))))

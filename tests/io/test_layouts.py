@@ -240,7 +240,7 @@ def test_image_folders_take_times_and_poses_from_where_they_are(tmp_path):
     unposed = read_recording(tmp_path, require_poses=False)
     assert unposed.timestamps_s.tolist() == pytest.approx([0, 1 / 30, 2 / 30, 0.1, 4 / 30])
     (tmp_path / "times.txt").write_text("1 2 4 5 7\n")
-    np.savetxt(tmp_path / "poses.txt", matrices()[:, :3].reshape(N, 12))
+    np.savetxt(tmp_path / "groundtruth.txt", np.column_stack(([1, 2, 4, 5, 7], PLACES, QUATS[:, 1:], QUATS[:, :1])))
     found = read_recording(tmp_path)
     assert found.timestamps_s.tolist() == [1, 2, 4, 5, 7]
     np.testing.assert_allclose(found.truth.positions_xyz, PLACES, atol=1e-9)

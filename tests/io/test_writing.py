@@ -37,7 +37,7 @@ def test_a_video_becomes_a_data_set(tmp_path):
     (tmp_path / "camera-intrinsics.txt").write_text("40 0 32\n0 41 24\n0 0 1\n")
     poses = Trajectory(0.1 * np.arange(8), np.arange(24.0).reshape(8, 3), np.tile([1.0, 0, 0, 0], (8, 1)))
     write_tum(tmp_path / "poses.tum", poses)
-    arguments = ["data", "convert", tmp_path / "v.avi", "--out", tmp_path / "set", "--to", "tum"]
+    arguments = ["data", "convert", tmp_path / "v.avi", "--out", tmp_path / "set"]
     assert "has no calibration" in refusal(*arguments)
     run_ok(*arguments, "--poses", tmp_path / "poses.tum", "--camera", tmp_path)
     found = read_recording(tmp_path / "set")

@@ -17,7 +17,7 @@ from conformodal.geometry.metrics import MAX_GAP_S
 from conformodal.io import DatasetError, Layout, Recording, check_recording
 from conformodal.io.cameras import camera_beside
 from conformodal.io.check import DatasetCheck
-from conformodal.io.convert import WRITABLE, write_layout
+from conformodal.io.convert import convert_stream
 from conformodal.io.reading import Note
 from conformodal.io.recording import as_camera, join_recordings
 from conformodal.io.streams.frames import FrameStream, RecordingStream
@@ -108,7 +108,6 @@ def check(
 def convert(
     source: Annotated[str, typer.Argument(help="A data set's folder, a video, or a ROS recording.")],
     out: Annotated[Path, typer.Option(help="Folder to write, new or empty.")],
-    to: Annotated[Layout, typer.Option(help=f"Layout to write: {', '.join(WRITABLE)}.")] = Layout.IMAGES,
     layout: DataLayout = Layout.AUTO,
     poses: Annotated[
         str | None,
@@ -121,7 +120,7 @@ def convert(
     time_offset: TimeOffset = 0.0,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
 ) -> None:
-    """Convert a data set, a video or a ROS recording to a data set in another layout, poses included."""
+    """Convert a data set, a video or a ROS recording to a data set in TUM's layout, poses included."""
     stream = open_source(source, layout, topic=topic)
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
@@ -132,8 +131,8 @@ def convert(
     lens = stream.camera or _camera(camera, stream)
     gap_s, total = 0.0 if poses is None else max_gap, stream.n_frames or 0
     with progress_bars() as report:
-        done = write_layout(out, to, stream, lens, truth, lambda n: report("frames", n, max(total, n)), max_gap_s=gap_s)
-    report_line(f"{counted(done.n_frames, 'frame')} written as {to}, {done.n_posed} of them with poses")
+        done = convert_stream(out, stream, lens, truth, lambda n: report("frames", n, max(total, n)), gap_s)
+    report_line(f"{counted(done.n_frames, 'frame')} written, {done.n_posed} of them with poses")
     report_notes(done.notes)
     print_where(out)
 

@@ -39,11 +39,8 @@ DataLayout = Annotated[Layout, typer.Option("--format", help="Layout of the data
 MaxGap = Annotated[float, typer.Option(min=0, help="Longest gap, seconds, between two poses to interpolate between.")]
 TimeOffset = Annotated[float, typer.Option(help="Seconds to add to the times of the poses.")]
 Focal = Annotated[
-    str | None,
-    typer.Option(
-        help="Focal length, pixels, of images without a camera; auto: from poses and images.",
-        rich_help_panel=DATA_PANEL,
-    ),
+    float | None,
+    typer.Option(help="Focal length, pixels, of images without a camera.", rich_help_panel=DATA_PANEL),
 ]
 Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")]
 

@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from math import atan, degrees, hypot
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from PIL import Image
@@ -18,7 +17,7 @@ from conformodal.core.arrays import FloatArray
 from conformodal.core.files import default_cache_dir, read_file, write_whole
 from conformodal.core.words import counted
 from conformodal.geometry import PinholeCamera, PoseError
-from conformodal.geometry.lens import AnyCamera, Fisheye, filled_share, pinhole_of, view_as
+from conformodal.geometry.lens import filled_share, view_as
 
 from .decoding import decode, image_fault
 from .errors import DatasetError, ImageError
@@ -27,14 +26,13 @@ from .reading import Note, read_numbers
 Size = tuple[int, int]
 
 INTRINSICS, DISTORTION = "camera-intrinsics.txt", "camera-distortion.txt"
-SCALED, UNDISTORTED = "intrinsics were scaled", "fisheye images are undistorted"
+SCALED = "intrinsics were scaled"
 OF_LAYOUT, OTHER_CAMERA = "the camera is the layout's", "images of another camera are brought to one"
 
 UNDISTORT = "undistort the images to a pinhole camera first (such as colmap image_undistorter), and give that camera"
 _CANNOT_DEG, _UNLIKELY_DEG = (0.1, 170.0), (3.0, 130.0)  # fields of view
 _OFF_CENTRE, _UNLIKE = 0.2, 1.25  # of the image's side; of fx and fy
 _SAME_SHAPE, _MOST_BENT = 0.02, 10.0
-_START_OF_FIT = 1.2  # focal length, of the longer side
 
 
 def camera_of(
@@ -71,25 +69,6 @@ def camera_of(
     return camera
 
 
-def fisheye_of(
-    source: str, pixels: Iterable[float], size: Size, lens: tuple[float, ...], *, stated: Size, notes: list[Note]
-) -> Fisheye:
-    """A fisheye lens of k1, k2, k3, k4; otherwise as :func:`camera_of`."""
-    k1, k2, k3, k4 = (float(k) for k in lens)
-    fisheye = Fisheye(camera_of(source, pixels, size, stated=stated, notes=notes), (k1, k2, k3, k4))
-    angles = np.linspace(1e-3, max(fisheye.corner_rad, 2e-3), 256)
-    with np.errstate(over="ignore", invalid="ignore"):
-        bent = float(np.abs(fisheye.radius(angles) / angles - 1).max())
-        folds = fisheye.fold_rad(fisheye.corner_rad) < np.inf
-    if folds or not bent < _MOST_BENT:
-        raise DatasetError(f"{source}: fisheye distortion {fisheye.coefficients} folds the image, as no lens does")
-    whole, left = fisheye.views_deg()
-    cut = "; the rest is cut off" if left < whole - 0.1 else ""
-    view = f"to a pinhole camera, which keeps {left:.0f} of {whole:.0f} degrees across{cut}"
-    notes.append(Note(UNDISTORTED, f"{source}: {view}"))
-    return fisheye
-
-
 def camera_beside(folder: Path, size: Size, default: PinholeCamera | None, notes: list[Note]) -> PinholeCamera | None:
     """The camera of ``camera-intrinsics.txt`` (3x3) and ``camera-distortion.txt`` in a folder, else the default.
 
@@ -112,20 +91,16 @@ def camera_beside(folder: Path, size: Size, default: PinholeCamera | None, notes
     return camera_of(f"{path}{f', {lens_path}' if lens else ''}", k, size, lens, notes=notes)
 
 
-def uncalibrated_camera(
-    folder: Path | str, size: Size, focal: float | Literal["auto"] | None, notes: list[Note]
-) -> PinholeCamera:
-    """The camera of a focal length alone: no distortion, and the middle as principal point; of ``auto``, any to fit."""
+def uncalibrated_camera(folder: Path | str, size: Size, focal: float | None, notes: list[Note]) -> PinholeCamera:
+    """The camera of a focal length in pixels alone: no distortion, and the middle as principal point."""
     if focal is None:
         raise DatasetError(
             f"{folder}: no camera is known for {size[0]}x{size[1]} pixels; write its 3x3 matrix into {INTRINSICS}, or "
-            "estimate it from poses by --focal auto"
+            "give its focal length by --focal"
         )
-    px = _START_OF_FIT * max(size) if focal == "auto" else focal
-    if focal != "auto":
-        where = f"{folder}: {px:.0f} pixels, as given; without distortion, and the middle as principal point"
-        notes.append(Note("the camera is not calibrated", where))
-    return camera_of(f"{folder}: focal length", (px, px, size[0] / 2, size[1] / 2), size, notes=notes)
+    where = f"{folder}: {focal:.0f} pixels, as given; without distortion, and the middle as principal point"
+    notes.append(Note("the camera is not calibrated", where))
+    return camera_of(f"{folder}: focal length", (focal, focal, size[0] / 2, size[1] / 2), size, notes=notes)
 
 
 def check_matrix(source: Path | str, k: FloatArray) -> None:
@@ -167,7 +142,9 @@ def _doubts(source: Path | str, camera: PinholeCamera) -> list[str]:
     return doubts
 
 
-def undistort_to(images: list[Path], cameras: list[AnyCamera], target: PinholeCamera, notes: list[Note]) -> list[Path]:
+def undistort_to(
+    images: list[Path], cameras: list[PinholeCamera], target: PinholeCamera, notes: list[Note]
+) -> list[Path]:
     """Images as the target camera sees them: files of the same names in the cache where they differ.
 
     They are made where they are missing or damaged. An image that cannot be read, or has another size than its
@@ -175,23 +152,23 @@ def undistort_to(images: list[Path], cameras: list[AnyCamera], target: PinholeCa
     how much of its view their images fill.
     """
     for camera, count in Counter(cameras).items():
-        if isinstance(camera, PinholeCamera) and camera != target:
+        if camera != target:
             notes.append(Note(OTHER_CAMERA, f"{counted(count, 'image')} of {describe_change(camera, target)}"))
     with ThreadPoolExecutor(max_workers=2) as pool:
         return list(pool.map(lambda image, camera: _undistorted(image, camera, target), images, cameras))
 
 
-def _undistorted(image: Path, camera: AnyCamera, target: PinholeCamera) -> Path:
+def _undistorted(image: Path, camera: PinholeCamera, target: PinholeCamera) -> Path:
     if camera == target:
         return image
-    pinhole, place = pinhole_of(camera), default_cache_dir() / "undistorted"
+    place = default_cache_dir() / "undistorted"
     try:
         content = read_file(image)
         digest = hashlib.sha256(f"{camera} {target} ".encode() + content).hexdigest()
         made = place / digest[:2] / digest / f"{image.stem}.png"
         if made.is_file() and not image_fault(made, (target.width, target.height)):
             return made
-        pixels = decode(content, str(image), (pinhole.width, pinhole.height))
+        pixels = decode(content, str(image), (camera.width, camera.height))
     except (OSError, ImageError):
         return image
     encoded = io.BytesIO()

@@ -9,12 +9,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .cameras import OF_LAYOUT, OTHER_CAMERA, SCALED, UNDISTORTED
+from .cameras import OF_LAYOUT, OTHER_CAMERA, SCALED
 from .convention import fit_of_poses
 from .decoding import TURNED
 from .errors import ImageError
 from .frame_table import CONVERTED, INTERPOLATED, OWN_SCALE
-from .layouts.euroc import SHIFTED
 from .reading import by_what
 from .recording import Recording
 
@@ -22,7 +21,7 @@ from .recording import Recording
 _GAP, _JUMP = 3.0, 10.0
 _LEAST_JUMP_M = 0.05
 # What a reader did, and nothing that is wrong.
-_NOTES = {SCALED, UNDISTORTED, OTHER_CAMERA, TURNED, INTERPOLATED, CONVERTED, SHIFTED, OF_LAYOUT, OWN_SCALE}
+_NOTES = {SCALED, OTHER_CAMERA, TURNED, INTERPOLATED, CONVERTED, OF_LAYOUT, OWN_SCALE}
 
 
 @dataclass

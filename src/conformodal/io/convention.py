@@ -13,17 +13,15 @@ from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.geometry import Trajectory, cross_matrices, poses_at
 from conformodal.geometry.lens import on_plane
 
-from .errors import DatasetError, ImageError
+from .errors import ImageError
 from .pose_files import table_of
-from .reading import Note
 from .recording import Recording
 
 AS_GIVEN = "camera-to-world, OpenCV axes"
-FITTED = "the focal length is an estimate"
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _Y_DOWN = np.diag([1.0, -1.0, 1.0, 1.0])
-_PAIRS, _PAIRS_FOR_FOCAL, _STEPS, _CORNERS, _LEAST_MATCHES = 32, 128, (1, 2, 4, 8), 300, 200
-_FLOW_PX, _FLOW_FOR_FOCAL_PX = 4.0, 16.0
+_PAIRS, _STEPS, _CORNERS, _LEAST_MATCHES = 32, (1, 2, 4, 8), 300, 200
+_FLOW_PX = 4.0
 _NEAR_PX = 2.0  # from the epipolar line
 # Shares of the matches near their line. Poses by motion capture, fusion or rendering have 0.89 to 1.00 as they are,
 # 0.27 to 0.66 a tenth of a second late and 0.09 to 0.34 a second late (TUM fr1, 7-Scenes, ICL-NUIM).
@@ -31,9 +29,6 @@ _FITS, _FITS_NOT, _BETTER, _EQUAL = 0.8, 0.5, 0.1, 0.02
 _PEAK = 0.25  # of a shift that fits above the usual one
 _LONGEST_SHIFT_S, _SHIFTS = 10.0, 401
 _FOCALS = np.geomspace(0.3, 6.0, 240)  # of the longer side
-_USUAL_PX, _DRAWS, _LEAST_NEAR, _MOST_UNSURE = 0.5, 200, 0.4, 0.125
-# Standard errors beside those of the draw: of a lens with k1 = 0.1 and a principal point 2 % off, as a share; of turns.
-_NOT_MODELLED, _TURN_DEG = 0.03, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +80,7 @@ def fit_of_poses(recording: Recording) -> PoseFit:
     that is as good as the best of them. A focal length that is only a little off is told as well.
     """
     posed = _posed_part(recording)
-    matches = _match_pairs(posed, _FLOW_PX) if len(posed) > 1 else None
+    matches = _match_pairs(posed) if len(posed) > 1 else None
     if matches is None or len(matches) < _LEAST_MATCHES:
         return PoseFit(float("nan"), "")
     poses = posed.require_truth().poses_se3
@@ -148,7 +143,7 @@ def _best_shift(recording: Recording, matches: _Matches, plane: FloatArray) -> _
 def _best_focal(recording: Recording, matches: _Matches, poses_se3: FloatArray) -> _Change:
     """The focal length that fits best, or the given one where that is hardly worse."""
     camera, motions = recording.camera, matches.motions(poses_se3)
-    focals = _FOCALS[::4] * max(camera.width, camera.height)
+    focals = _FOCALS * max(camera.width, camera.height)
     centred = matches.pixels - (camera.cx, camera.cy)
     shares = [_share_near(matches, motions, centred / focal, focal) for focal in focals]
     low, high = focals[np.flatnonzero(np.array(shares) > max(shares) - _EQUAL)[[0, -1]]]
@@ -175,48 +170,6 @@ def _best_convention(poses_se3: FloatArray, share_of: Callable[[FloatArray], flo
     return _Change(most, f"poses fit the images as {names}, and are read as {AS_GIVEN}")
 
 
-def with_fitted_focal(sequence: Recording) -> Recording:
-    """The sequence with the focal length under which matched corners lie best on the poses' epipolar lines.
-
-    Its lens has no distortion, and its principal point is that of the camera. Only turns show it: a camera that moves
-    straight ahead sees the same with any. A note gives the range of twice the standard error: from drawing the pairs of
-    frames again, from errors of the poses beside the turns, and from lens and principal point.
-
-    Refuses what does not determine it within 25 per cent.
-    """
-    if sequence.truth is None:
-        raise DatasetError(f"{sequence.name}: a focal length is fitted to poses, and not all frames have one")
-    camera = sequence.camera
-    focals = _FOCALS * max(camera.width, camera.height)
-    matches = _match_pairs(sequence, _FLOW_FOR_FOCAL_PX, _PAIRS_FOR_FOCAL)
-    if matches is None or len(matches) < _LEAST_MATCHES:
-        n = 0 if matches is None else len(matches)
-        raise DatasetError(f"{sequence.name}: {n} matched corners tell no focal length, expected more")
-    motions, centred = matches.motions(sequence.truth.poses_se3), matches.pixels - (camera.cx, camera.cy)
-    errors = np.array([_epipolar_px(matches, motions, centred / f, f) for f in focals])
-    costs = np.log1p((errors / _USUAL_PX) ** 2)  # errors of poses are no Gaussian noise
-    by_pair = np.array([np.bincount(matches.pair, weights=row) for row in costs])
-    best = int(np.argmin(by_pair.sum(axis=1)))
-    share = float(np.mean(errors[best] < _NEAR_PX))
-    n_pairs = len(motions)
-    drawn = np.random.default_rng(0).multinomial(n_pairs, np.full(n_pairs, 1 / n_pairs), size=_DRAWS)
-    drawn_again = float(np.std(np.log(focals[np.argmin(drawn @ by_pair.T, axis=1)])))
-    turns = np.arccos(np.clip(np.trace(motions[:, :3, :3], axis1=1, axis2=2) / 2 - 0.5, -1, 1))
-    turn_deg = float(np.median(np.degrees(turns)))
-    spread = float(np.linalg.norm((drawn_again, _NOT_MODELLED, _TURN_DEG / max(turn_deg, 1e-3))))
-    low, high = focals[best] * np.exp([-2 * spread, 2 * spread])
-    fit = f"{focals[best]:.0f} pixels, between {low:.0f} and {high:.0f} (95 %)"
-    if share < _LEAST_NEAR or spread > _MOST_UNSURE or best in (0, len(focals) - 1):
-        raise DatasetError(
-            f"{sequence.name}: poses and images do not tell the focal length: {fit}; {100 * share:.0f} % of the "
-            f"matched corners fit it, and the camera turns by {turn_deg:.2g} degrees while they move by "
-            f"{_FLOW_FOR_FOCAL_PX:g} pixels. Write camera-intrinsics.txt"
-        )
-    where = f"{sequence.name}: {fit}, from poses and {len(matches)} matched corners; without distortion"
-    fitted = replace(camera, fx=float(focals[best]), fy=float(focals[best]))
-    return replace(sequence, camera=fitted, notes=(*sequence.notes, Note(FITTED, where)))
-
-
 def _posed_part(recording: Recording) -> Recording:
     """The frames that have a pose."""
     at = recording.posed
@@ -238,11 +191,11 @@ def _rolled(poses: FloatArray, by: int) -> FloatArray:
     return Trajectory(times, rows[:, :3], np.roll(rows[:, 3:], by, axis=1)).poses_se3
 
 
-def _match_pairs(recording: Recording, least_flow_px: float, most: int = _PAIRS) -> _Matches | None:
+def _match_pairs(recording: Recording) -> _Matches | None:
     """Matches of frames, evenly spread, with a later one; None where no frame moves."""
     frames, pixels = [], []
-    for first in np.unique(np.linspace(0, len(recording) - 2, most).astype(int)).tolist():
-        matched = _match_later_frame(recording, first, least_flow_px)
+    for first in np.unique(np.linspace(0, len(recording) - 2, _PAIRS).astype(int)).tolist():
+        matched = _match_later_frame(recording, first)
         if matched is not None:
             frames.append((first, first + matched.step))
             pixels.append(matched.pixels)
@@ -257,7 +210,7 @@ class _LaterFrame(NamedTuple):
     pixels: FloatArray  # (m, 2, 2) corners in both
 
 
-def _match_later_frame(recording: Recording, first: int, least_flow_px: float) -> _LaterFrame | None:
+def _match_later_frame(recording: Recording, first: int) -> _LaterFrame | None:
     """A later frame of the same recording in which corners have moved; None where nothing moves."""
     try:
         grey = cv2.cvtColor(recording.image(first), cv2.COLOR_RGB2GRAY)
@@ -271,7 +224,7 @@ def _match_later_frame(recording: Recording, first: int, least_flow_px: float) -
             again, back, _ = cv2.calcOpticalFlowPyrLK(other, grey, tracked, None)  # type: ignore[call-overload]
             kept = (there & back).ravel().astype(bool) & (np.linalg.norm(again - corners, axis=2).ravel() < 1)
             pixels = np.stack((corners[kept, 0], tracked[kept, 0]), axis=1).astype(np.float64)
-            if len(pixels) and np.median(np.linalg.norm(pixels[:, 0] - pixels[:, 1], axis=1)) >= least_flow_px:
+            if len(pixels) and np.median(np.linalg.norm(pixels[:, 0] - pixels[:, 1], axis=1)) >= _FLOW_PX:
                 return _LaterFrame(step, pixels)
     except ImageError:
         pass

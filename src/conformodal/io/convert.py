@@ -1,4 +1,4 @@
-"""Writing a source in another layout."""
+"""Writing a source as a data set in TUM's layout."""
 
 from __future__ import annotations
 
@@ -18,10 +18,8 @@ from .cameras import DISTORTION, INTRINSICS
 from .decoding import is_turned
 from .errors import DatasetError
 from .folders import staged
+from .pose_files import TUM_HEADER
 from .reading import Note
-from .registry import Layout
-
-WRITABLE = (Layout.TUM, Layout.IMAGES)
 
 
 @dataclass
@@ -33,9 +31,8 @@ class ConversionReport:
     notes: list[Note]
 
 
-def write_layout(
+def convert_stream(
     folder: Path,
-    layout: str,
     stream: FrameStream,
     camera: PinholeCamera,
     poses: Trajectory | None,
@@ -48,50 +45,45 @@ def write_layout(
     nothing there. Poses are paired by time; frames without one are kept without. `max_gap_s` is the longest time
     between two poses that one is interpolated from; 0 for poses with the frames' own times.
     """
-    if layout not in WRITABLE:
-        raise DatasetError(f"layout must be one of {', '.join(WRITABLE)}, got {layout!r}")
     notes: list[Note] = []
-    written: list[Frame] = []  # without their images
-    names: list[str] = []
+    names: list[str] = []  # of the frames that are written
+    files: list[str] = []
+    times: list[float] = []
+    recording = None
     with staged(folder) as part:
-        below = "rgb/" if layout == Layout.TUM else ""
-        (part / below).mkdir(exist_ok=True)
+        (part / "rgb").mkdir()
         for number, frame in enumerate(stream, start=1):
-            if written and frame.recording != written[-1].recording:
+            if recording not in (None, frame.recording):
                 raise DatasetError(f"{stream.name}: holds several recordings; convert one at a time")
             if frame.image is None or frame.image.shape[:2] != (camera.height, camera.width):
                 notes.append(Note("left out, no image of the camera's size", frame.problem or frame.name))
-            elif not frame.timestamp_s > (written[-1].timestamp_s if written else -np.inf):
+            elif not frame.timestamp_s > (times[-1] if times else -np.inf):
                 notes.append(Note("left out, time goes back", frame.name))
             else:
-                stem = part / below / f"{len(names):06d}"
-                names.append(below + _write_image(stem, frame, stream).name)
-                written.append(Frame(frame.name, frame.timestamp_s, None, recording=frame.recording))
+                recording = frame.recording
+                files.append(f"rgb/{_write_image(part / 'rgb' / f'{len(names):06d}', frame, stream).name}")
+                names.append(frame.name)
+                times.append(frame.timestamp_s)
             if progress is not None:
                 progress(number)
-        if not written:
+        if not names:
             raise DatasetError(f"{stream.name}: nothing to write: {len(notes)} frames without an image or a time")
-        times = np.array([frame.timestamp_s for frame in written])
         np.savetxt(part / INTRINSICS, camera.matrix)
         if camera.distortion:
             np.savetxt(part / DISTORTION, camera.distortion)
-        listed = zip(times.tolist(), names, strict=True)
-        lines = [f"{time:.9f} {name}" if below else f"{time:.9f}" for time, name in listed]
-        _write_lines(part / ("rgb.txt" if below else "times.txt"), lines)
-        n_posed = 0
-        if poses is not None:
-            rows = poses_at(poses, times, max_gap_s).rows
-            without = np.flatnonzero(~np.isfinite(rows).all(axis=1)).tolist()
-            n_posed = len(rows) - len(without)
-            if not n_posed:
-                raise DatasetError(f"{stream.name}: no frame has a pose{clock_hint(times, poses.timestamps_s)}")
-            notes += [Note("kept without a pose", written[i].name) for i in without]
-            # a frame without a pose has a row of NaN: else one between its neighbours' would be read back for it
-            tum = np.column_stack((rows[:, :3], np.roll(rows[:, 3:], -1, axis=1))).tolist()
-            lines = [f"{time:.9f} {' '.join(map(repr, row))}" for time, row in zip(times.tolist(), tum, strict=True)]
-            head = "# timestamp tx ty tz qx qy qz qw"
-            _write_lines(part / ("groundtruth.txt" if below else "poses.tum"), [head, *lines])
-    return ConversionReport(len(times), n_posed, notes)
+        _write_lines(part / "rgb.txt", [f"{time:.9f} {file}" for time, file in zip(times, files, strict=True)])
+        if poses is None:
+            return ConversionReport(len(names), 0, notes)
+        rows = poses_at(poses, np.array(times), max_gap_s).rows
+        without = np.flatnonzero(~np.isfinite(rows).all(axis=1)).tolist()
+        if len(without) == len(names):
+            raise DatasetError(f"{stream.name}: no frame has a pose{clock_hint(np.array(times), poses.timestamps_s)}")
+        notes += [Note("kept without a pose", names[i]) for i in without]
+        # a frame without a pose has a row of NaN: else one between its neighbours' would be read back for it
+        tum = np.column_stack((rows[:, :3], np.roll(rows[:, 3:], -1, axis=1))).tolist()
+        lines = [f"{time:.9f} {' '.join(map(repr, row))}" for time, row in zip(times, tum, strict=True)]
+        _write_lines(part / "groundtruth.txt", [TUM_HEADER, *lines])
+    return ConversionReport(len(names), len(names) - len(without), notes)
 
 
 def _write_image(stem: Path, frame: Frame, stream: FrameStream) -> Path:

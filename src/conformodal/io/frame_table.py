@@ -11,14 +11,12 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.words import as_utf8, counted
 from conformodal.geometry import PinholeCamera, Trajectory, poses_at
-from conformodal.geometry.lens import AnyCamera, pinhole_of
 from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, in_seconds, nearest_in_time
 
 from .cameras import uncalibrated_camera, undistort_to
@@ -73,7 +71,7 @@ class FrameTable:
     name: str
     images: list[Path]
     times: FloatArray
-    camera: AnyCamera | list[AnyCamera] | None
+    camera: PinholeCamera | list[PinholeCamera] | None
     poses: FloatArray | None = None
     recording: IntArray | None = None
     given_test: BoolArray | None = None
@@ -97,7 +95,7 @@ class FrameTable:
             raise DatasetError(f"{path}: holds {scale[:9].tolist()}, expected the metres of one unit of the poses")
         self.poses[:, :3] *= scale[0]
 
-    def to_recording(self, *, require_poses: bool = True, focal: float | Literal["auto"] | None = None) -> Recording:
+    def to_recording(self, *, require_poses: bool = True, focal: float | None = None) -> Recording:
         """The frames that can be used, as the camera of most has them; warns of the others.
 
         With `require_poses`, frames without a pose or a sound image are left out. See
@@ -149,8 +147,8 @@ class FrameTable:
             warnings.warn(f"{self.name}: {len(places)} x {what}: {places[0]}", DatasetWarning, stacklevel=3)
         return replace(recording, notes=tuple(notes))
 
-    def _one_camera(self, focal: float | Literal["auto"] | None) -> PinholeCamera:
-        """The camera of most frames; images of others, or of a fisheye lens, are brought to it."""
+    def _one_camera(self, focal: float | None) -> PinholeCamera:
+        """The camera of most frames; images of others are brought to it."""
         if self.camera is None:
             self.camera = uncalibrated_camera(self.source, common_size(self.images), focal, self.notes)
         elif focal is not None:
@@ -165,9 +163,9 @@ class FrameTable:
                 )
             self.notes.append(Note(TURNED, f"{turned}: as its EXIF orientation says; intrinsics must be those after"))
         refuse_few_bits(self.images)
-        if any(camera != pinhole_of(most) for camera in set(cameras)):
-            self.images = undistort_to(self.images, cameras, pinhole_of(most), self.notes)
-        return pinhole_of(most)
+        if len(set(cameras)) > 1:
+            self.images = undistort_to(self.images, cameras, most, self.notes)
+        return most
 
 
 def _unlikely(recording: Recording) -> list[Note]:

@@ -1,7 +1,6 @@
 """Files with one pose per line, and what is wrong with a pose.
 
 - TUM: ``timestamp tx ty tz qx qy qz qw``, with the scalar of the quaternion last; covariances may follow (OpenVINS).
-- KITTI: the upper 3x4 of ``T_world_cam`` row by row, without timestamps.
 - EuRoC: CSV of ``timestamp [ns], p_x, p_y, p_z, q_w, q_x, q_y, q_z``; further columns are ignored.
 """
 
@@ -11,20 +10,18 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray
-from conformodal.geometry import PoseError, Trajectory, rigid_motions
+from conformodal.geometry import PoseError, Trajectory
 from conformodal.geometry.metrics import in_seconds
 from conformodal.geometry.poses import rotation_faults
 
 from .errors import DatasetError
 from .reading import number, numbers_in, parse_lines, read_lines, tokens, whole_number
 
-KITTI_RATE_HZ = 10.0
 TUM_HEADER = "# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"
 Faults = dict[int, str]  # by row
 # Farther away than any place, in metres: squares of larger numbers overflow.
@@ -40,22 +37,12 @@ _COLUMN = re.compile(r"\bq(?:uat)?(?:[a-z_.]*[_.])?([wxyz])\b", re.IGNORECASE)
 
 @dataclass(eq=False)
 class PoseRows:
-    """Rows of a file, ``x y z qw qx qy qz`` after a time where the format has one.
-
-    Attributes
-    ----------
-    rows
-        (n, 7) or (n, 8). A row without a sound pose holds NaN but for its time.
-    faults
-        Why a row has no pose.
-    doubts
-        What is unlikely.
-    """
+    """Rows of a file, ``x y z qw qx qy qz`` after a time where the format has one."""
 
     path: Path
-    rows: FloatArray
-    faults: Faults = field(default_factory=dict)
-    doubts: list[str] = field(default_factory=list)
+    rows: FloatArray  # (n, 7) or (n, 8); a row without a sound pose holds NaN but for its time
+    faults: Faults = field(default_factory=dict)  # why a row has no pose
+    doubts: list[str] = field(default_factory=list)  # what is unlikely
 
     def drop(self, faults: Faults) -> None:
         """Take the poses of faulty rows away, and of those with NaN; refuse a file without a sound one."""
@@ -120,18 +107,6 @@ def euroc_table(path: Path) -> PoseRows:
         return [whole_number(values[0]) / 1e9, *(number(values[k]) for k in range(1, 8))]
 
     return _timed(path, parse, "'timestamp [ns], x, y, z, qw, qx, qy, qz'", "wxyz")
-
-
-def kitti_table(path: Path) -> PoseRows:
-    """Rows (n, 7) of a file in KITTI's format."""
-    rows = parse_lines(path, partial(numbers_in, count=12), "twelve numbers", by_line=True)
-    upper = np.array(rows).reshape(-1, 3, 4)
-    poses = rigid_motions(upper[:, :, :3], upper[:, :, 3])
-    faults = matrix_faults(poses)
-    poses[list(faults)] = np.nan
-    table = PoseRows(path, table_of(poses))
-    table.drop(faults)
-    return table
 
 
 def _timed(path: Path, parse: Callable[[str], list[float]], expected: str, order: str) -> PoseRows:

@@ -26,7 +26,6 @@ from conformodal.io.layouts.sevenscenes import looks_like_scene, read_sevenscene
 from conformodal.io.layouts.tum import read_tum_rgbd
 
 from .cameras import INTRINSICS
-from .convention import with_fitted_focal
 from .errors import DatasetError
 from .frame_table import FrameTable
 from .recording import Recording
@@ -129,7 +128,7 @@ def read_recording(
     format: str = Layout.AUTO,
     *,
     require_poses: bool = True,
-    focal: float | str | None = None,
+    focal: float | None = None,
 ) -> Recording:
     """Read a data set, without decoding its images, as in ``examples/images.py``.
 
@@ -143,7 +142,7 @@ def read_recording(
         True leaves out frames without a pose or a sound image. False keeps them; the recording has a truth only if
         every frame has a pose.
     focal
-        Focal length in pixels where nothing says the camera; ``"auto"`` fits it to poses and images.
+        Focal length in pixels where nothing says the camera.
 
     Raises
     ------
@@ -156,18 +155,12 @@ def read_recording(
     """
     if not isinstance(format, str) or format not in (Layout.AUTO, *readers()):
         raise DatasetError(f"format must be one of {', '.join((Layout.AUTO, *readers()))}, got {format!r}")
-    fitted, folder = focal == "auto", Path(path)
-    try:
-        px = None if focal is None or fitted else float(focal)
-    except ValueError:
-        px = -1.0
-    if px is not None and not px > 0:
-        raise DatasetError(f"focal must be a positive number of pixels or auto, got {focal!r}")
+    if focal is not None and not focal > 0:
+        raise DatasetError(f"focal must be a positive number of pixels, got {focal!r}")
+    folder = Path(path)
     _check_folder(folder)
     name = recognise(folder) if format == Layout.AUTO else format
     try:
-        table = readers()[name].read(folder.resolve())
-        recording = table.to_recording(require_poses=require_poses or fitted, focal="auto" if fitted else px)
+        return readers()[name].read(folder.resolve()).to_recording(require_poses=require_poses, focal=focal)
     except (OSError, UnicodeError, PoseError) as exc:
         raise DatasetError(as_utf8(f"{folder}: cannot be read: {exc}")) from exc
-    return with_fitted_focal(recording) if fitted else recording

@@ -17,7 +17,6 @@ from typing import Any
 
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import MissingPackageError
-from conformodal.geometry.lens import Fisheye
 from conformodal.io.streams import ros_messages
 from conformodal.io.streams.frames import SourceError
 from conformodal.pipeline.config import OdometryError
@@ -84,10 +83,7 @@ class PoseNode:
             return
         self._camera, self._refused = camera, ""
         try:
-            lens = ros_messages.camera_of_info(message, "camera_info", self._topic)
-            if isinstance(lens, Fisheye):
-                raise SourceError(f"camera_info: lens {message.distortion_model}, expected undistorted images")
-            self.odometry.model.check_camera(lens)
+            self.odometry.model.check_camera(ros_messages.camera_of_info(message, "camera_info", self._topic))
         except (SourceError, OdometryError) as exc:
             self._refused = str(exc)
             self._log.error(f"images are not answered: {exc}")

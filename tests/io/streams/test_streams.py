@@ -1,6 +1,6 @@
 import time
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import cv2
@@ -394,26 +394,13 @@ def test_another_camera_ends_the_stream(tmp_path):
     assert len(images) == 2
 
 
-@pytest.mark.parametrize(("model", "lens"), [("equidistant", (0.05, -0.01, 0.0, 0.0)), ("kannala_brandt4", ())])
-def test_images_of_a_fisheye_camera_info_are_undistorted(tmp_path, model, lens):
-    stream = open_stream(write_ramps(tmp_path / "a", [({"distortion_model": model, "d": np.array(lens)}, 1)]))
-    assert (stream.camera.fx, stream.camera.distortion) == (40, ())
-    at = np.array([[20, 10], [45, 40], [32, 24]])
-    rays = (at - (32, 24)) / (40, 41)
-    k = np.array((*lens, 0, 0, 0, 0)[:4], dtype=float)
-    bent = cv2.fisheye.distortPoints(rays[:, None], stream.camera.matrix, k)[:, 0]
-    (frame,) = stream
-    np.testing.assert_allclose(frame.image[at[:, 1], at[:, 0], :2], bent * (4, 5), atol=3)
-    brought = list(replace(stream, camera=PinholeCamera(20, 20.5, 16, 12, 32, 24)))
-    np.testing.assert_allclose(brought[0].image[12, 16, :2], frame.image[24, 32, :2], atol=8)
-
-
 @pytest.mark.parametrize(
     ("change", "topic", "match"),
     [
         ({"k": np.zeros(9)}, "/cam/image_raw", "K is zero"),
         ({"p": np.zeros(12)}, "/cam/image_rect", "P is zero"),
-        ({"distortion_model": "equidistant", "d": np.ones(5)}, "/cam/image_raw", "of 5 numbers"),
+        ({"distortion_model": "equidistant", "d": np.ones(4)}, "/cam/image_raw", "of 4 numbers.* undistort"),
+        ({"distortion_model": "kannala_brandt4", "d": np.zeros(0)}, "/cam/image_raw", "of 0 numbers"),
         ({"width": 0}, "/cam/image_raw", "width = 0"),
     ],
 )

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from conformodal.core.extras import require_extra
-from conformodal.geometry.lens import AnyCamera
-from conformodal.io.cameras import UNDISTORT, Size, camera_of, fisheye_of
+from conformodal.geometry import PinholeCamera
+from conformodal.io.cameras import UNDISTORT, Size, camera_of
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import DOUBTFUL, FrameTable
@@ -41,9 +41,6 @@ _LENSES = {
     "RADIAL": "f cx cy k1 k2",
     "OPENCV": "fx fy cx cy k1 k2 p1 p2",
     "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
-    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
-    "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
-    "RADIAL_FISHEYE": "f cx cy k1 k2",
 }
 _POINTS = re.compile(r"[0-9eE+\-. \tnaifNAIF]*")  # numbers alone; an image's name has a letter that no number has
 
@@ -85,8 +82,7 @@ def read_colmap(folder: Path) -> FrameTable:
     or it is the model's own, with ``images`` above it. Of several models the one of most images is read. Images in
     ``images`` that the model does not name are frames without a pose; folders in it are recordings. Times are those of
     ``times.txt`` (seconds, one per line), or else even (``frame-rate.txt`` in Hz, or 30). The scale is the model's
-    own, unless ``metres-per-unit.txt`` gives one. Images of fisheye lenses and of other cameras than most have
-    are brought to that, once.
+    own, unless ``metres-per-unit.txt`` gives one. Images of other cameras than most have are brought to that, once.
     """
     notes: list[Note] = []
     models = [_binary_model(place) if _holds(place, "bin") else _text_model(place) for place in model_folders(folder)]
@@ -139,7 +135,7 @@ def _image_folder(folder: Path, model: _Model) -> Path:
     raise DatasetError(f"{model.path}: names {model.images[0].name}, expected it in {folder / 'images'}; link it there")
 
 
-def _lens(camera: _Camera, size: Size, notes: list[Note]) -> AnyCamera:
+def _lens(camera: _Camera, size: Size, notes: list[Note]) -> PinholeCamera:
     names = _LENSES.get(camera.model, "").split()
     if not names or len(camera.parameters) != len(names):
         raise DatasetError(
@@ -147,14 +143,9 @@ def _lens(camera: _Camera, size: Size, notes: list[Note]) -> AnyCamera:
             f"{', '.join(_LENSES)}: {UNDISTORT}"
         )
     value = dict(zip(names, camera.parameters, strict=True))
-    centre = (
-        value["cx"] - 0.5,
-        value["cy"] - 0.5,
-    )  # COLMAP's first pixel has its centre at (0.5, 0.5), OpenCV's at (0, 0)
+    # COLMAP's first pixel has its centre at (0.5, 0.5), OpenCV's at (0, 0)
+    centre = value["cx"] - 0.5, value["cy"] - 0.5
     pixels = value.get("f", value.get("fx", 0.0)), value.get("f", value.get("fy", 0.0)), *centre
-    if camera.model.endswith("FISHEYE"):
-        coefficients = tuple(value.get(name, 0.0) for name in ("k1", "k2", "k3", "k4"))
-        return fisheye_of(camera.where, pixels, size, coefficients, stated=camera.size, notes=notes)
     distortion = tuple(value.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
     distortion = distortion if "k3" in value else distortion[:4]
     return camera_of(camera.where, pixels, size, distortion, stated=camera.size, notes=notes)

@@ -13,11 +13,10 @@ from conformodal.io.cameras import INTRINSICS, camera_beside
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import FrameTable, paired_by_time
-from conformodal.io.pose_files import kitti_table, tum_table
+from conformodal.io.pose_files import tum_table
 from conformodal.io.reading import SUFFIXES, Note, frame_times, image_files, number
 
-_TUM, _KITTI = ("poses.tum", "groundtruth.txt"), ("poses.kitti", "poses.txt")
-POSE_FILES = (*_TUM, *_KITTI)
+POSE_FILES = ("poses.tum", "groundtruth.txt")
 _FEW = 3
 _NUMBERS, _NUMBERED = re.compile(r"[0-9]+"), re.compile(r"\D*([0-9]{1,9})\D*")
 # Whole numbers that are times: seconds, milli-, micro- or nanoseconds since 1970, between 2001 and 2128; not dates.
@@ -35,8 +34,7 @@ def read_image_folder(folder: Path) -> FrameTable:
 
     Beside them ``camera-intrinsics.txt`` (3x3). Times are those of ``times.txt`` (seconds, one per line), or the names
     of the files where all of these are numbers with a fraction or since 1970, or else even (``frame-rate.txt`` in Hz,
-    or 30). Poses: ``poses.tum`` (or ``groundtruth.txt``), interpolated by time; or ``poses.kitti`` (or ``poses.txt``),
-    one line per image.
+    or 30). Poses: ``poses.tum`` or ``groundtruth.txt``, interpolated by time.
     """
     notes: list[Note] = []
     images = image_files(folder)
@@ -48,18 +46,13 @@ def read_image_folder(folder: Path) -> FrameTable:
         times = frame_times(folder, len(images))
         _note_gaps(folder, images, notes)
     table = FrameTable(folder.name, images, times, camera_beside(folder, common_size(images), None, notes), notes=notes)
-    path, *others = [folder / name for name in POSE_FILES if (folder / name).is_file()] or [folder / _TUM[0]]
+    path, *others = [folder / name for name in POSE_FILES if (folder / name).is_file()] or [folder / POSE_FILES[0]]
     table.source = folder if path.is_file() else path
     if others:
         raise DatasetError(f"{folder}: holds poses in {path.name} and in {others[0].name}; remove one")
-    if path.is_file() and path.name in _TUM:
+    if path.is_file():
         paired = paired_by_time(tum_table, path, times, notes)
         table.poses, table.why = paired.rows, paired.why
-    elif path.is_file():
-        poses = kitti_table(path)
-        table.poses, table.why = poses.rows, poses.faults
-        if len(poses.rows) != len(times):
-            raise DatasetError(f"{path}: holds {len(poses.rows)} poses, but there are {len(times)} images")
     return table
 
 

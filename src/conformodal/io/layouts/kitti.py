@@ -6,18 +6,30 @@ by what ``calib.txt`` says.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
+from conformodal.geometry import rigid_motions
 from conformodal.io.cameras import camera_of, check_matrix
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import FrameTable
-from conformodal.io.pose_files import KITTI_RATE_HZ, kitti_table, matrices_of, table_of
-from conformodal.io.reading import Note, image_files, number, read_lines, read_numbers, whole_number
+from conformodal.io.pose_files import PoseRows, matrices_of, matrix_faults, table_of
+from conformodal.io.reading import (
+    Note,
+    image_files,
+    number,
+    numbers_in,
+    parse_lines,
+    read_lines,
+    read_numbers,
+    whole_number,
+)
 
+RATE_HZ = 10.0
 CAMERAS = ("image_2", "image_0", "image_3", "image_1")  # colour where it is there; the left one first
 
 
@@ -45,7 +57,7 @@ def read_kitti_odometry(folder: Path) -> FrameTable:
         frames = np.array([whole_number(image.stem) for image in images])
     except ValueError as exc:
         raise DatasetError(f"{place}: images must be called by their numbers, such as 000000.png ({exc})") from None
-    stamped, times = folder / "times.txt", frames / KITTI_RATE_HZ
+    stamped, times = folder / "times.txt", frames / RATE_HZ
     if stamped.is_file():
         stamps = read_numbers(stamped)
         times = stamps[_rows(frames, len(stamps), stamped)]
@@ -58,6 +70,18 @@ def read_kitti_odometry(folder: Path) -> FrameTable:
         grey[:, :3, 3] -= grey[:, :3, :3] @ np.linalg.solve(projection[:, :3], projection[:, 3])
         table.poses = table_of(grey)
         table.why = {i: poses.faults[row] for i, row in enumerate(frames.tolist()) if row in poses.faults}
+    return table
+
+
+def kitti_table(path: Path) -> PoseRows:
+    """Rows (n, 7) of a file with the upper 3x4 of ``T_world_cam`` in each line, row by row."""
+    rows = parse_lines(path, partial(numbers_in, count=12), "twelve numbers", by_line=True)
+    upper = np.array(rows).reshape(-1, 3, 4)
+    poses = rigid_motions(upper[:, :, :3], upper[:, :, 3])
+    faults = matrix_faults(poses)
+    poses[list(faults)] = np.nan
+    table = PoseRows(path, table_of(poses))
+    table.drop(faults)
     return table
 
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.geometry.lens import AnyCamera
-from conformodal.io.cameras import UNDISTORT, Size, camera_of, fisheye_of
+from conformodal.geometry import PinholeCamera
+from conformodal.io.cameras import UNDISTORT, Size, camera_of
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import FrameTable
@@ -22,13 +22,11 @@ from conformodal.io.reading import MALFORMED, SUFFIXES, Note, by_name, file_name
 
 FILES = ("transforms.json", "transforms_train.json")
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
-_LENS, _FISHEYE_LENS = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")
-_ANGLES = ("camera_angle_x", "camera_angle_y")
+_LENS, _ANGLE = ("k1", "k2", "p1", "p2", "k3"), "camera_angle_x"
 _WORDS = ("camera_model", "is_fisheye")
-_CAMERA_KEYS = ("fl_x", "fl_y", *_ANGLES, "cx", "cy", "w", "h", "k4", *_LENS, *_WORDS)
+_CAMERA_KEYS = ("fl_x", "fl_y", _ANGLE, "cx", "cy", "w", "h", "k4", *_LENS, *_WORDS)
 _AGREE = 0.02  # of focal length and field of view
-_FISHEYE = "OPENCV_FISHEYE"
-_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE", _FISHEYE)
+_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 
 
 def transforms_file(folder: Path) -> Path | None:
@@ -40,8 +38,7 @@ def read_nerf(folder: Path) -> FrameTable:
     """Read the frames of ``transforms.json``, or else of ``transforms_train.json``, in the order of their file names.
 
     They share one camera. Times are those of ``times.txt`` (seconds, one per line), or else even (``frame-rate.txt``
-    in Hz, or 30). World and scale are the file's own, unless
-    ``metres-per-unit.txt`` gives one. Fisheye images are undistorted, once.
+    in Hz, or 30). World and scale are the file's own, unless ``metres-per-unit.txt`` gives one.
     """
     path = transforms_file(folder) or folder / FILES[0]
     notes: list[Note] = []
@@ -96,28 +93,22 @@ def _image(folder: Path, name: str) -> Path:
     return next((path for path in named if os.path.lexists(path)), named[0])
 
 
-def _camera(path: Path, values: dict[str, Any], size: Size, notes: list[Note]) -> AnyCamera:
-    model = values.get("camera_model", _FISHEYE if values.get("is_fisheye") else "OPENCV")
-    fisheye = model == _FISHEYE
-    unclear = values.get("p1") or values.get("p2") if fisheye else values.get("k4") or values.get("is_fisheye")
-    if model not in _MODELS or unclear or (fisheye and "fl_x" not in values):  # whose angles are not a pinhole's
+def _camera(path: Path, values: dict[str, Any], size: Size, notes: list[Note]) -> PinholeCamera:
+    model = values.get("camera_model", "OPENCV")
+    if model not in _MODELS or values.get("is_fisheye") or values.get("k4"):
         raise DatasetError(
             f"{path}: has camera_model {str(model)[:40]} with {', '.join(sorted(values))}; expected one of "
-            f"{', '.join(_MODELS)}, k4 with {_FISHEYE} alone, and p1, p2 without it: {UNDISTORT}"
+            f"{', '.join(_MODELS)}, not a fisheye's: {UNDISTORT}"
         )
-    if ("w" in values) != ("h" in values) or not all(0 < values.get(name, 1.0) < np.pi for name in _ANGLES):
-        raise DatasetError(f"{path}: expected both w and h or none, and camera_angle_x in radians between 0 and 3.14")
+    if ("w" in values) != ("h" in values) or not 0 < values.get(_ANGLE, 1.0) < np.pi:
+        raise DatasetError(f"{path}: expected both w and h or none, and {_ANGLE} in radians between 0 and 3.14")
     whole = (round(values["w"]), round(values["h"])) if "w" in values else size
-    angles = {name: whole[k] / np.tan(values[name] / 2) / 2 for k, name in enumerate(_ANGLES) if name in values}
-    fx = values.get("fl_x", values.get("fl_y", angles.get(_ANGLES[0], angles.get(_ANGLES[1]))))
-    fy = values.get("fl_y", values.get("fl_x", angles.get(_ANGLES[1], fx)))
-    if fx is None or fy is None or abs(angles.get(_ANGLES[0], fx) / fx - 1) > _AGREE:
-        raise DatasetError(
-            f"{path}: has fl_x {fx} and camera_angle_x {values.get(_ANGLES[0])}, expected one or both alike"
-        )
+    by_angle = whole[0] / np.tan(values[_ANGLE] / 2) / 2 if _ANGLE in values else None
+    fx = values.get("fl_x", by_angle)
+    if fx is None or abs((by_angle or fx) / fx - 1) > _AGREE:
+        raise DatasetError(f"{path}: has fl_x {fx} and {_ANGLE} {values.get(_ANGLE)}, expected one or both alike")
     # the first pixel's centre is (0.5, 0.5), as in COLMAP; OpenCV's is (0, 0)
-    pixels = fx, fy, values.get("cx", whole[0] / 2) - 0.5, values.get("cy", whole[1] / 2) - 0.5
-    make, names = (fisheye_of, _FISHEYE_LENS) if fisheye else (camera_of, _LENS)
-    lens = tuple(values.get(name, 0.0) for name in names)
-    lens = lens if fisheye or lens[4] else lens[:4]
-    return make(f"{path}: fl_x, fl_y, cx, cy", pixels, size, lens, stated=whole, notes=notes)
+    pixels = fx, values.get("fl_y", fx), values.get("cx", whole[0] / 2) - 0.5, values.get("cy", whole[1] / 2) - 0.5
+    lens = tuple(values.get(name, 0.0) for name in _LENS)
+    where = f"{path}: fl_x, fl_y, cx, cy"
+    return camera_of(where, pixels, size, lens if lens[4] else lens[:4], stated=whole, notes=notes)

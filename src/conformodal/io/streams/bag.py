@@ -10,7 +10,7 @@ from typing import Any
 
 from conformodal.core.extras import require_extra
 from conformodal.geometry import PinholeCamera
-from conformodal.geometry.lens import AnyCamera, pinhole_of, view_as
+from conformodal.geometry.lens import view_as
 from conformodal.io.errors import DatasetError
 from conformodal.io.reading import Note
 
@@ -37,7 +37,7 @@ class BagStream:
     notes: tuple[Note, ...]
     received: bool  # whether times are those of reception, as the headers have no stamps
     info_topic: str | None = None  # of the ``CameraInfo``
-    lens: AnyCamera | None = None  # what it says
+    lens: PinholeCamera | None = None  # what it says
     live = False
 
     @property
@@ -108,8 +108,7 @@ def open_bag(path: Path, topic: str | None = None, camera: PinholeCamera | None 
         if info is None:
             check_size(f"{path}: {topic}", (width, height), camera)
         else:
-            lens = camera_of_info(info, f"{path}: {info_topic}", topic, (width, height), notes)
-            camera = pinhole_of(lens)
+            camera = lens = camera_of_info(info, f"{path}: {info_topic}", topic, (width, height), notes)
     n_frames = sum(c.msgcount for c in connections)
     return BagStream(path, topic, camera, n_frames, tuple(notes), received, info_topic, lens)
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from conformodal.core.arrays import AnyArray, UInt8Array
 from conformodal.core.extras import require_extra
-from conformodal.geometry.lens import AnyCamera
-from conformodal.io.cameras import UNDISTORT, Size, camera_of, check_matrix, fisheye_of
+from conformodal.geometry import PinholeCamera
+from conformodal.io.cameras import UNDISTORT, Size, camera_of, check_matrix
 from conformodal.io.decoding import decode
 from conformodal.io.errors import DatasetError
 from conformodal.io.reading import Note
@@ -77,7 +77,7 @@ def is_calibrated(message: Any) -> bool:
 
 def camera_of_info(
     message: Any, place: str, topic: str = "", size: Size | None = None, notes: list[Note] | None = None
-) -> AnyCamera:
+) -> PinholeCamera:
     """The camera of a ``sensor_msgs/CameraInfo`` of ROS 1 or 2, scaled to the `size` of the images.
 
     Its window (``roi``) and binning are applied. For the topics of rectified images, as ``image_rect_color``, P is the
@@ -92,12 +92,10 @@ def camera_of_info(
     matrix = P if by_p else K
     if not matrix.any() or (rectified and not by_p and any(lens)):
         raise SourceError(f"{place}: {'P' if rectified else 'K'} is zero: the camera of these images is not calibrated")
-    fisheye = model in _FISHEYES and not (rectified or by_p)
     lens = () if rectified or by_p or not any(lens) else lens
-    if len(lens) > 4 if fisheye else (any(lens[5:]) or bool(lens and model not in _LENSES)):
-        raise SourceError(
-            f"{place}: lens {model!r} of {len(lens)} numbers, expected {_LENSES[0]} or {_FISHEYES[0]}: {UNDISTORT}"
-        )
+    fisheye = model in _FISHEYES and not (rectified or by_p)  # without coefficients, too, it is not a pinhole camera
+    if fisheye or any(lens[5:]) or (lens and model not in _LENSES):
+        raise SourceError(f"{place}: lens {model!r} of {len(lens)} numbers, expected {_LENSES[0]}: {UNDISTORT}")
     roi, binning = message.roi, (max(int(message.binning_x), 1), max(int(message.binning_y), 1))
     window = (roi.width, roi.height) if roi.width and roi.height else (message.width, message.height)
     stated = int(window[0]) // binning[0], int(window[1]) // binning[1]
@@ -105,8 +103,7 @@ def camera_of_info(
         check_matrix(place, matrix)
         fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2] - roi.x_offset, matrix[1, 2] - roi.y_offset
         pixels = fx / binning[0], fy / binning[1], cx / binning[0], cy / binning[1]
-        make, lens = (fisheye_of, (*lens, 0.0, 0.0, 0.0, 0.0)[:4]) if fisheye else (camera_of, lens)
-        camera: AnyCamera = make(place, pixels, size or stated, lens, stated=stated, notes=notes)
+        camera = camera_of(place, pixels, size or stated, lens, stated=stated, notes=notes)
     except DatasetError as exc:
         raise SourceError(str(exc)) from exc
     notes.append(Note("camera of CameraInfo", f"{place}: {'P, without distortion' if by_p else 'K and D'}"))
