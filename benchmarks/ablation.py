@@ -49,7 +49,7 @@ from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory, trajectory_errors
 from conformodal.io import Recording, SplitKind, read_recording
-from conformodal.localizer.candidates import pose_targets
+from conformodal.localizer.candidates import Candidates, pose_targets
 from conformodal.localizer.observations import MotionPrior, Observations, PosePath
 from conformodal.localizer.smoother import image_hypotheses, smooth
 from conformodal.pipeline.config import Calibration, ModelConfig
@@ -148,8 +148,14 @@ def smoothed(observed: Observations, prior: MotionPrior, *, hindsight: bool = Tr
 
 def frame_by_frame(observed: Observations, prior: MotionPrior) -> PosePath:
     """The most probable hypothesis of each image alone, smoothed."""
-    best = [int(np.argmax(each.log_mass)) for each in observed.candidates]
-    chosen = PosePath.choose(observed.candidates, observed.timestamps_s, best)
+    best = Candidates.concatenate([each.take(np.array([np.argmax(each.log_mass)])) for each in observed.candidates])
+    chosen = PosePath(
+        observed.timestamps_s,
+        best.positions_xyz,
+        best.position_spreads,
+        best.orientations_quat_wxyz,
+        best.orientation_spreads_rad,
+    )
     return smooth(image_hypotheses(chosen, observed, prior), observed, prior)
 
 

@@ -103,8 +103,7 @@ def without_rotations(observed: Observations) -> Observations:
 def filtered_path(observed: Observations, prior: MotionPrior, *, hindsight: bool = True) -> PosePath:
     """The most probable places given all frames, or the frames up to each."""
     posteriors = (hindsight_posteriors if hindsight else filter_posteriors)(observed, prior)
-    path, _ = choose_places(posteriors, observed.timestamps_s, prior)
-    return path
+    return choose_places(posteriors, observed.timestamps_s, prior)
 
 
 def table_lines(header: list[str], rows: list[list[str]]) -> list[str]:

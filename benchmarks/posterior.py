@@ -58,7 +58,7 @@ def lagged(models: Models, model: PoseModel, run: OdometryRun) -> dict[str, floa
         forward = filter_posteriors(observed, model.prior)
         parts = [slice(k, k + LAG + 1) for k in range(len(at) - LAG)]
         first = [Window(observed.part(part), forward[part]).first(model.prior) for part in parts]
-        best, _ = choose_places(first, run.timestamps_s[at[: len(first)]], model.prior)
+        best = choose_places(first, run.timestamps_s[at[: len(first)]], model.prior)
         rows.append(at[: len(first)])
         posteriors += first
         positions.append(best.positions_xyz)

@@ -9,22 +9,22 @@ import numpy as np
 
 from conformodal.corridor import write_corridor
 from conformodal.features.settings import TrainingConfig
-from conformodal.geometry import trajectory_errors
+from conformodal.geometry import Trajectory, trajectory_errors
 from conformodal.io import read_recording
-from conformodal.localizer.observations import MotionPrior, Observations, PosePath
+from conformodal.localizer.observations import Observations
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
-from conformodal.pipeline.stream import as_trajectory
 from conformodal.pipeline.train import train_model
 
 
-def nearest(seen: Observations, prior: MotionPrior) -> PosePath:
-    """A reasoner is a function from observations and a motion prior to a path."""
-    chosen = [int(np.argmax(seen.candidates[0].log_mass))]
-    for before, here in zip(seen.candidates, seen.candidates[1:], strict=False):
-        apart = np.linalg.norm(here.positions_xyz - before.positions_xyz[chosen[-1]], axis=1)
-        chosen.append(int(np.argmin(apart)))
-    return PosePath.choose(seen.candidates, seen.timestamps_s, chosen)
+def nearest(seen: Observations) -> Trajectory:
+    """A reasoner is a function from observations to a path."""
+    path = [seen.candidates[0].take(np.array([0]))]  # the most probable one
+    for here in seen.candidates[1:]:
+        apart = np.linalg.norm(here.positions_xyz - path[-1].positions_xyz, axis=1)
+        path.append(here.take(np.array([np.argmin(apart)])))
+    places, quats = [pose.positions_xyz for pose in path], [pose.orientations_quat_wxyz for pose in path]
+    return Trajectory(seen.timestamps_s, np.concatenate(places), np.concatenate(quats))
 
 
 if __name__ == "__main__":
@@ -35,6 +35,6 @@ if __name__ == "__main__":
         run = VisualOdometry(model).process(sequence, model.split.test)
         truth = sequence.require_truth()[run.frames]
         seen = run.observations(np.arange(len(run.frames)))
-        paths = {"nearest": as_trajectory(nearest(seen, model.prior)), "hindsight": run.trajectories["hindsight"]}
+        paths = {"nearest": nearest(seen), "hindsight": run.trajectories["hindsight"]}
         for name, path in paths.items():
             print(f"{name}: {trajectory_errors(path, truth)['rmse_m']:.3f} m")

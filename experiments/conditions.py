@@ -25,26 +25,13 @@ _RESULTS = 11  # version of the results of tasks; older ones are computed again
 
 @dataclass(frozen=True)
 class Row:
-    """One row of table 1.
+    """One row of table 1."""
 
-    Attributes
-    ----------
-    label
-        For people.
-    used
-        Share of all frames for training and calibration together.
-    network
-        Of the features.
-    sigma
-        Pixel noise at test time.
-    paper_conformal, paper_classical
-        The paper's position RMSE, on RGB-D Scenes with EfficientNet b0, b3 and b7; metres.
-    """
-
-    label: str
-    used: float
-    network: str
-    sigma: float
+    label: str  # for people
+    used: float  # share of all frames for training and calibration together
+    network: str  # of the features
+    sigma: float  # pixel noise at test time
+    # the paper's position RMSE, on RGB-D Scenes with EfficientNet b0, b3 and b7; metres
     paper_conformal: float
     paper_classical: float
 

@@ -27,9 +27,8 @@ from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.estimator import odometry_of
-from conformodal.pipeline.identity import data_digest
 from conformodal.pipeline.provenance import provenance
-from conformodal.pipeline.results import ResultsError, read_metrics, write_metrics, write_run
+from conformodal.pipeline.results import ResultsError, read_metrics, write_metrics
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 from conformodal.tracking.tracker import CornerTracker
@@ -61,9 +60,11 @@ from .table1 import (
     Which,
     WhichBaselines,
     Workers,
+    data_digest,
     opened,
 )
 from .tasks import Engine, ExperimentError
+from .worker import write_run
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 _ENDINGS = {Method.PAPER: "paper", Method.CONFORMODAL: "ours"}
@@ -146,15 +147,7 @@ def bin_runs(
 
 
 class FigureWriter:
-    """Writes figures under ``OUT/figures`` and remembers their names.
-
-    Parameters
-    ----------
-    sequence, out
-        Images, and where the table keeps its runs.
-    split, rows
-        Whose runs.
-    """
+    """Writes figures under ``OUT/figures``, where the table keeps its runs, and remembers their names."""
 
     def __init__(self, sequence: Recording, out: Path, split: SplitKind, rows: Collection[Row]) -> None:
         self.sequence, self.out, self.split, self.rows = sequence, out, split, rows
@@ -163,12 +156,7 @@ class FigureWriter:
     def steps(self, bins: Mapping[int, Path], cache: FeatureCache) -> None:
         """Figures 1, 2a and 2b, from the paper's system: bins are the fewest, softmaxes have the most.
 
-        Parameters
-        ----------
-        bins
-            Folders of runs, with their models, by the number of bins.
-        cache
-            Of features.
+        `bins` are folders of runs, with their models, by the number of bins.
         """
         steps = steps_of(bins[max(bins)], self.sequence, cache)
         softmax = steps.softmaxes[steps.shown]

@@ -5,6 +5,7 @@ python -m experiments.table1 DATA --out OUT [--method paper] [--workers N] [--en
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from conformodal.cli.console import OptionError, print_where, progress_bars, report_errors, report_line
@@ -24,7 +26,7 @@ from conformodal.features.settings import TrainingConfig, check_network
 from conformodal.io import Layout, Recording, SplitKind
 from conformodal.io.folders import writing_in
 from conformodal.pipeline.config import Method
-from conformodal.pipeline.identity import data_digest
+from conformodal.pipeline.identity import identify
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import write_metrics
 
@@ -36,6 +38,17 @@ from .worker import Table1Worker
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 EPOCHS, ALL_NETWORKS = TrainingConfig().epochs, ",".join(NETWORKS)
+
+
+def data_digest(sequence: Recording) -> str:
+    """Digest of everything in a data set that results depend on."""
+    frames = identify(sequence)
+    digest = hashlib.sha256(f"{sequence.camera} {sequence.noise}".encode())
+    for array in (frames.files, frames.poses, sequence.timestamps_s, sequence.recording):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    for path in sequence.image_paths:  # results name frames, and a frame's noise is drawn by its name
+        digest.update(path.name.encode() + b"\0")
+    return digest.hexdigest()
 
 
 class Systems(StrEnum):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -13,15 +13,16 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import spearmanr
 
-from conformodal.conformal import Regions, SplitConformal
+from conformodal.conformal import QuantileBins, Regions, SplitConformal
 from conformodal.core.arrays import FloatArray, rows_by_label
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.geometry import Trajectory, concatenate, normalise_quat
 from conformodal.io import PixelNoise, Recording
-from conformodal.localizer.candidates import Candidates, fuse, interval_runs, pose_targets, softmax_mean
+from conformodal.localizer.candidates import Candidates, Probabilities, fuse, interval_runs, pose_targets
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import hindsight_posteriors
-from conformodal.localizer.greedy import greedy
+from conformodal.localizer.greedy import Greedy
+from conformodal.localizer.observations import PosePath
 from conformodal.pipeline.config import Method
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.estimator import odometry_of
@@ -29,7 +30,7 @@ from conformodal.pipeline.evaluate import error_table
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.plain import PlainRegressor, train_plain, trajectory_of
 from conformodal.pipeline.provenance import provenance
-from conformodal.pipeline.results import write_metrics, write_run
+from conformodal.pipeline.results import ResultsWriter, record_of, write_metrics
 from conformodal.pipeline.stream import as_trajectory, whole_paths
 from conformodal.pipeline.train import prepare_training_data, train_model
 from conformodal.pipeline.training_data import TrainingData
@@ -43,33 +44,21 @@ _Made = TypeVar("_Made")
 
 @dataclass(frozen=True, eq=False)
 class TrainedMethods:
-    """A trained system and all that is compared with it.
-
-    Attributes
-    ----------
-    model, plain, tuned, baselines
-        The system; regressors on the same features, with its settings and with searched ones; others by name.
-    cost
-        Of each method, by the name of its trajectory: seconds of training, and numbers trained or stored.
-    """
+    """A trained system and all that is compared with it."""
 
     model: PoseModel
-    plain: PlainRegressor
-    tuned: TunedRegressor
+    plain: PlainRegressor  # on the same features, with the system's settings
+    tuned: TunedRegressor  # the same with searched ones
     baselines: dict[str, Baseline] = field(default_factory=dict)
+    # seconds of training, and numbers trained or stored, by the name of a method's trajectory
     cost: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
 class Table1Worker:
-    """Computes tasks on one data set.
+    """Computes tasks on one data set, a recording with poses.
 
-    Parameters
-    ----------
-    sequence, cache
-        Frames with poses, and the cache of their features.
-    runs
-        Folder for the runs of seed 0, in the layout of ``conformodal run``: figures are drawn from them. None keeps
-        none.
+    `runs` is a folder for the runs of seed 0, in the layout of ``conformodal run``: figures are drawn from them. None
+    keeps none.
     """
 
     def __init__(self, sequence: Recording, cache: FeatureCache, runs: Path | None = None) -> None:
@@ -103,6 +92,16 @@ class Table1Worker:
             "region": region_numbers(run, model, truth),
             "n_unreliable": int(np.sum(~run.reliable)),
         }
+
+
+def write_run(folder: Path, run: OdometryRun, frame_names: Sequence[str], truth: Trajectory) -> None:
+    """Write a recording's answers; `frame_names` and `truth` are names and true poses of the answered frames."""
+    with ResultsWriter(folder, run.answer) as writer:
+        for name, trajectory in run.trajectories.items():
+            writer.poses(name, trajectory)
+        writer.truth(truth)
+        for name, estimate in zip(frame_names, run.estimates, strict=True):
+            writer.region(record_of(name, estimate))
 
 
 def train_all(task: TrainingTask, data: TrainingData) -> TrainedMethods:
@@ -153,8 +152,11 @@ def add_trajectories(
     if model.method is not Method.PAPER:
         pieces, estimates = rows_by_label(recording), beliefs.estimates
         intervals = interval_runs(model.localizer.marginals(beliefs), run.regions)
-        greedily = (greedy([intervals[t] for t in at], [run.motions[t] for t in at], times[at]) for at in pieces)
-        found["greedy"] = concatenate([as_trajectory(path) for path in greedily])
+        greedily = []
+        for at in pieces:
+            path = Greedy()
+            greedily += [path.push(intervals[t], run.motions[t], float(times[t])) for t in at]
+        found["greedy"] = as_trajectory(PosePath.concatenate(greedily))
         found["tuned_smoothed"] = tuned.smoothed(features, run, recording, model.prior)
         for name, baseline in trained.baselines.items():
             found[name] = trajectory_of(baseline.predict(features), times)
@@ -175,6 +177,14 @@ def add_trajectories(
                 positions[t], quats[t] = best.position_xyz, best.orientation_quat_wxyz
         found["landmarks"] = Trajectory(times, positions, quats)
     run.trajectories |= found
+
+
+def softmax_mean(proba: Probabilities, bins: QuantileBins) -> FloatArray:
+    """Mean of every target under its softmax, in bin coordinates, (n, d): the estimate without regions or motion."""
+    means = [
+        p.astype(np.float64) @ (np.arange(k) + 0.5) / p.sum(axis=1) for p, k in zip(proba, bins.sizes, strict=True)
+    ]
+    return np.column_stack([np.interp(at, np.arange(len(e)), e) for at, e in zip(means, bins.edges_, strict=True)])
 
 
 def _as_candidates(tuned: TunedRegressor, features: npt.NDArray[np.float32]) -> list[Candidates]:

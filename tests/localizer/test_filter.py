@@ -124,10 +124,10 @@ def test_a_vague_hypothesis_does_not_link_places_out_of_reach(vague_m):
     between = hypotheses([0.0, 5.0, 2.5], np.exp([-2.0, -2.0, 0.0]), spread=[0.05, 0.05, vague_m])
     seen = Observations([*[early] * 4, between, *[late] * 5], [None] * 10, np.arange(10) * 0.1)
     still = replace(PRIOR, top_speed_mps=(0.2, 0.2), volume_m3=100.0)
-    x = choose_places(hindsight_posteriors(seen, still), seen.timestamps_s, still)[0].positions_xyz[:, 0]
+    x = choose_places(hindsight_posteriors(seen, still), seen.timestamps_s, still).positions_xyz[:, 0]
     assert (np.abs(np.delete(x, 4)) < 0.1).all()
     quick = replace(PRIOR, top_speed_mps=(40.0, 40.0), volume_m3=100.0)
-    x = choose_places(hindsight_posteriors(seen, quick), seen.timestamps_s, quick)[0].positions_xyz[:, 0]
+    x = choose_places(hindsight_posteriors(seen, quick), seen.timestamps_s, quick).positions_xyz[:, 0]
     assert (np.abs(x[5:] - 5) < 0.1).all()
 
 
@@ -139,7 +139,7 @@ def test_images_of_unknown_places_do_not_move_the_path():
         frames[k] = hypotheses([here + 30 for here in x[k : k + 1]], [1.0], spread=0.01)
     seen = Observations(frames, [None] * 11, 0.1 * np.arange(11), known=~wrong)
     prior = replace(PRIOR, volume_m3=1000.0)
-    found = choose_places(hindsight_posteriors(seen, prior), seen.timestamps_s, prior)[0]
+    found = choose_places(hindsight_posteriors(seen, prior), seen.timestamps_s, prior)
     assert np.abs(found.positions_xyz[:, 0] - x).max() < 0.2
     assert found.position_spreads[5, 0] > found.position_spreads[9, 0]  # bridged by motion alone
 
@@ -175,10 +175,10 @@ def half_turned(seed=0):
 def test_a_relative_rotation_chooses_between_places_that_look_alike_after_a_half_turn(reasoner):
     positions, seen = half_turned()
     quick = replace(PRIOR, turn_rate_rad_s=np.pi / 2, top_speed_mps=(3.0, 3.0), volume_m3=100.0)
-    found = choose_places(reasoner(seen, quick), seen.timestamps_s, quick)[0].positions_xyz
+    found = choose_places(reasoner(seen, quick), seen.timestamps_s, quick).positions_xyz
     np.testing.assert_allclose(found, positions, atol=0.2)
     still = replace(seen, motions=[None] * 5)
-    found = choose_places(reasoner(still, quick), seen.timestamps_s, quick)[0].positions_xyz
+    found = choose_places(reasoner(still, quick), seen.timestamps_s, quick).positions_xyz
     assert (found[1:, 0] < 0).all()  # the likelier side, not the right one
 
 

@@ -8,12 +8,19 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import MotionStatus, RelativeMotion
 from conformodal.localizer.candidates import BinRuns
-from conformodal.localizer.greedy import greedy
+from conformodal.localizer.greedy import Greedy
+from conformodal.localizer.observations import PosePath
 
 
 def some_intervals(rng, counts):
     """Intervals in no order, with probabilities in another."""
     return [BinRuns(rng.normal(size=m), rng.uniform(0.1, 0.2, m), np.log(rng.dirichlet(np.ones(m)))) for m in counts]
+
+
+def greedy(intervals, motions):
+    path = Greedy()
+    frames = enumerate(zip(intervals, motions, strict=True))
+    return PosePath.concatenate([path.push(*frame, float(t)) for t, frame in frames])
 
 
 def means(runs):
@@ -57,7 +64,7 @@ def test_all_combinations_are_tried(seed):
     rng = np.random.default_rng(seed)
     intervals = [some_intervals(rng, rng.integers(1, 6, 7)) for _ in range(8)]
     motions = some_motions(rng, 8)
-    found = greedy(intervals, motions, np.arange(8))
+    found = greedy(intervals, motions)
     positions, quats = brute_force(intervals, motions)
     np.testing.assert_array_equal(found.positions_xyz, positions)
     np.testing.assert_allclose(found.orientations_quat_wxyz, quats, atol=1e-15)
@@ -67,7 +74,7 @@ def test_all_combinations_are_tried(seed):
 def test_the_most_probable_is_taken_where_motion_is_unknown(motion):
     rng = np.random.default_rng(1)
     intervals = [some_intervals(rng, [3] * 7) for _ in range(4)]
-    found = greedy(intervals, [motion] * 4, np.arange(4))
+    found = greedy(intervals, [motion] * 4)
     best = np.array([[m[np.argmax(mass)] for m, mass in zip(means(i), masses(i), strict=True)] for i in intervals])
     np.testing.assert_array_equal(found.positions_xyz, best[:, :3])
     expected = best[:, 3:] / np.linalg.norm(best[:, 3:], axis=1, keepdims=True)

@@ -6,20 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Submap, Trajectory, angle_between_quats
 from conformodal.localizer import LocalizationError
-from conformodal.localizer.observations import Observations, fit_motion_prior
+from conformodal.localizer.observations import fit_motion_prior
 from conformodal.localizer.smoother import smooth_orientations, smooth_positions
-from tests.localizer.flights import PRIOR, ambiguous, exact_motions, path
-
-
-def test_observations_that_do_not_belong_together_are_refused():
-    t, positions, rotations = path(3)
-    candidates = ambiguous(positions, rotations)
-    with pytest.raises(LocalizationError, match="1 motions"):
-        Observations(candidates, [None], t)
-    with pytest.raises(LocalizationError, match="0 candidates"):
-        Observations([], [], t[:0])
-    with pytest.raises(LocalizationError, match=r"increase.*frames 1, 2"):
-        Observations(candidates, [None] * 3, t[[0, 1, 1]])
+from tests.localizer.flights import PRIOR, exact_motions, path
 
 
 def test_smoothing_improves_on_noise():

@@ -105,8 +105,8 @@ def mode_candidates(proba: Probabilities, bins: QuantileBins) -> list[Candidates
 def interval_candidates(proba: Probabilities, regions: Regions) -> list[Candidates]:
     """Candidates of every frame: the most probable cuboids of its region, each at the means of its intervals.
 
-    Where a target's set is empty, its most probable bin stands in. :func:`~conformodal.localizer.greedy` chooses among
-    all cuboids, as the paper does.
+    Where a target's set is empty, its most probable bin stands in. :class:`~conformodal.localizer.greedy.Greedy`
+    chooses among all cuboids, as the paper does.
     """
     return [_combine(targets, -np.inf) for targets in interval_runs(proba, regions)]
 
@@ -125,11 +125,6 @@ def interval_runs(proba: Probabilities, regions: Regions) -> list[list[BinRuns]]
             targets.append(_described(p[i].astype(np.float64), intervals, e))
         frames.append(targets)
     return frames
-
-
-def softmax_mean(proba: Probabilities, bins: QuantileBins) -> FloatArray:
-    """Mean of every target under its softmax, in bin coordinates, (n, d): the estimate without regions or motion."""
-    return np.stack([_mean(p.astype(np.float64), e)[0] for p, e in zip(proba, bins.edges_, strict=True)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray
@@ -55,14 +54,6 @@ class Greedy:
         turn = 2 * np.sqrt(np.mean(spreads[3:] ** 2))  # a quaternion moves half as far as the rotation turns
         times, turns = np.array([timestamp_s]), np.array([turn])
         return PosePath(times, self._place[None], spreads[None, :3], self._quat[None], turns)
-
-
-def greedy(
-    intervals: Sequence[Sequence[BinRuns]], motions: Sequence[RelativeMotion | None], timestamps_s: npt.ArrayLike
-) -> PosePath:
-    """:class:`Greedy` on n frames of one recording; ``motions[t]`` leads from frame t - 1 to frame t."""
-    path, times = Greedy(), np.asarray(timestamps_s, dtype=np.float64)
-    return PosePath.concatenate([path.push(*frame) for frame in zip(intervals, motions, times.tolist(), strict=True)])
 
 
 def _nearest_quat(means: Sequence[FloatArray], q_next: FloatArray) -> list[int]:

@@ -9,10 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, Rows, rows_by_label
 from conformodal.geometry import RelativeMotion, Submap, Trajectory, angle_between_quats, fix_sign, normalise_quat
@@ -44,19 +42,6 @@ class Observations:
     timestamps_s: FloatArray  # (n,) seconds, increasing
     submaps: Sequence[Submap] = ()  # of frames numbered 0 to n - 1
     known: BoolArray | None = None  # (n,) whether each image shows a known place; None if all do
-
-    def __post_init__(self) -> None:
-        n = len(self.candidates)
-        if n == 0 or not n == len(self.motions) == len(self.timestamps_s):
-            raise LocalizationError(
-                f"observations need as many candidates as motions and timestamps, at least one: got {n} candidates, "
-                f"{len(self.motions)} motions, {len(self.timestamps_s)} timestamps"
-            )
-        not_later = np.flatnonzero(~(np.diff(self.timestamps_s) > 0))
-        if not_later.size:
-            t = int(not_later[0])
-            between = f"{self.timestamps_s[t : t + 2]} s at frames {t}, {t + 1}"
-            raise LocalizationError(f"timestamps must increase: {between}")
 
     def part(self, rows: slice) -> Observations:
         """What is known of consecutive frames, without submaps."""
@@ -184,20 +169,6 @@ class PosePath(Rows):
     orientations_quat_wxyz: FloatArray  # (n, 4) world from camera
     orientation_spreads_rad: FloatArray  # (n,)
 
-    @classmethod
-    def choose(
-        cls, candidates: Sequence[Candidates], timestamps_s: npt.ArrayLike, chosen: Sequence[int] | IntArray
-    ) -> Self:
-        """The candidates with these indices, one per frame."""
-        path = Candidates.concatenate([c.take(slice(k, k + 1)) for c, k in zip(candidates, chosen, strict=True)])
-        return cls(
-            np.asarray(timestamps_s, dtype=np.float64),
-            path.positions_xyz,
-            path.position_spreads,
-            path.orientations_quat_wxyz,
-            path.orientation_spreads_rad,
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Place:
@@ -257,16 +228,13 @@ def summarise(hypotheses: Candidates, box: FloatArray | None = None) -> Place:
     return Place(float(mass.sum()), position, np.sqrt(variance), quat, angle, box)
 
 
-def choose_places(
-    posteriors: Sequence[Posterior], timestamps_s: FloatArray, prior: MotionPrior
-) -> tuple[PosePath, FloatArray]:
-    """The mean of each frame's most probable place, and the (n,) probabilities of these places."""
+def choose_places(posteriors: Sequence[Posterior], timestamps_s: FloatArray, prior: MotionPrior) -> PosePath:
+    """The mean of each frame's most probable place."""
     best = [find_places(posterior, prior)[0] for posterior in posteriors]
-    path = PosePath(
-        np.asarray(timestamps_s, dtype=np.float64),
+    return PosePath(
+        timestamps_s,
         np.array([place.position_xyz for place in best]),
         np.array([place.position_spreads for place in best]),
         np.array([place.orientation_quat_wxyz for place in best]),
         np.array([place.orientation_spread_rad for place in best]),
     )
-    return path, np.array([place.probability for place in best])

@@ -90,7 +90,6 @@ class PoseRegions(Regions):
                     mask[i, low:high] = True
         if not product:
             self.masks = [mask | self.unbounded[:, j, None] for j, mask in enumerate(projections)]
-            self._stacked = None
 
     def __getitem__(self, index: slice | BoolArray | npt.NDArray[np.integer]) -> PoseRegions:
         """Regions of some of the images: a slice, a boolean mask or an array of positions."""

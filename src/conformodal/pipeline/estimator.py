@@ -271,8 +271,7 @@ class VisualOdometry(Odometry):
 
 def _revised(window: Window, prior: MotionPrior) -> Trajectory:
     """The poses of the last frames of a stream, in hindsight."""
-    path, _ = choose_places(window.hindsight(prior), window.seen.timestamps_s, prior)
-    return as_trajectory(path)
+    return as_trajectory(choose_places(window.hindsight(prior), window.seen.timestamps_s, prior))
 
 
 class PaperOdometry(Odometry):

@@ -67,14 +67,3 @@ def same_poses(one: FloatArray, other: FloatArray) -> BoolArray:
     same = np.ones(len(one), dtype=np.bool_)
     same[posed] = (off <= _TOLERANCE) & (angle_between_quats(a[:, 3:], b[:, 3:]) <= _TOLERANCE)
     return same
-
-
-def data_digest(sequence: Recording) -> str:
-    """Digest of everything in a data set that results depend on."""
-    frames = identify(sequence)
-    digest = hashlib.sha256(f"{sequence.camera} {sequence.noise}".encode())
-    for array in (frames.files, frames.poses, sequence.timestamps_s, sequence.recording):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    for path in sequence.image_paths:  # results name frames, and a frame's noise is drawn by its name
-        digest.update(path.name.encode() + b"\0")
-    return digest.hexdigest()

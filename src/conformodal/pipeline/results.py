@@ -27,7 +27,7 @@ from conformodal.localizer.observations import Place
 from conformodal.localizer.regions import EvidenceType, PoseRegions
 
 from .config import Method
-from .estimates import Estimate, OdometryRun
+from .estimates import Estimate
 from .model import METHODS, PAPERS_METHOD
 
 REGIONS, METRICS, TRAJECTORY, TRUTH = "regions.jsonl", "metrics.json", "trajectory.tum", "truth.tum"
@@ -200,17 +200,6 @@ class ResultsWriter:
 
 def _digest(path: Path) -> str:
     return hashlib.sha256(read_file(path)).hexdigest() if path.is_file() else ""
-
-
-def write_run(folder: Path, run: OdometryRun, frame_names: Sequence[str], truth: Trajectory | None) -> None:
-    """Write a recording's answers; `frame_names` and `truth` are names and true poses of the answered frames."""
-    with ResultsWriter(folder, run.answer) as writer:
-        for name, trajectory in run.trajectories.items():
-            writer.poses(name, trajectory)
-        if truth is not None:
-            writer.truth(truth)
-        for name, estimate in zip(frame_names, run.estimates, strict=True):
-            writer.region(record_of(name, estimate))
 
 
 def write_metrics(folder: Path, metrics: dict[str, Any]) -> None:

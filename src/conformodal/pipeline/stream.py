@@ -38,7 +38,7 @@ def whole_paths(posteriors: list[Posterior], observations: Observations, prior: 
 
     From posteriors in hindsight, and what they were worked out from.
     """
-    best, _ = choose_places(posteriors, observations.timestamps_s, prior)
+    best = choose_places(posteriors, observations.timestamps_s, prior)
     smoothed = smooth(image_hypotheses(best, observations, prior), observations, prior)
     return {METHODS[0]: as_trajectory(smoothed), HINDSIGHT: as_trajectory(best)}
 

@@ -141,7 +141,7 @@ def _held_out_motions(
 ) -> dict[int, RelativeMotion | None]:
     if config.method is Method.PAPER or folds.units is None:
         return {}
-    return measure_motions(sequence, np.sort(folds.held_out), progress, local=False).motions
+    return measure_motions(sequence, np.sort(folds.held_out), progress)
 
 
 def _motion_prior(data: TrainingData, config: ModelConfig) -> MotionPrior:

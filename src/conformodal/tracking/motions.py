@@ -1,88 +1,41 @@
-"""What is measured in frames without a network: relative motions, submaps, local features."""
+"""What is measured in frames without a network: relative motions, local features."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass, field, replace
-
-import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray, UInt8Array
 from conformodal.core.parallel import raise_if_cancelled
 from conformodal.core.progress import StageProgress
 from conformodal.features.local import LocalFeatures, extract_local_features
-from conformodal.geometry import RelativeMotion, Submap
+from conformodal.geometry import RelativeMotion
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import ImageError, Recording
 from conformodal.io.decoding import grey_image
 
-from .submaps import build_submaps
-from .tracker import LONGEST_FLOW_S, Corners, CornerTracker, FrontEnd, MotionFrontEnd, affine_flow
-
-
-@dataclass(frozen=True, eq=False)
-class MotionRecord:
-    """Motion between the answered frames of a sequence."""
-
-    # by frame: the motion from the answered frame before; None for the first of a recording
-    motions: dict[int, RelativeMotion | None]
-    unreadable: dict[int, str]  # frames that could not be decoded, and why
-    submaps: list[Submap] = field(default_factory=list)  # of the answered frames; each lies within one recording
-    # by frame; empty where they were not asked for
-    local_features: dict[int, LocalFeatures] = field(default_factory=dict)
+from .tracker import LONGEST_FLOW_S, CornerTracker, MotionFrontEnd, affine_flow
 
 
 def measure_motions(
-    sequence: Recording,
-    frames: IntArray,
-    progress: StageProgress | None = None,
-    *,
-    front_end: FrontEnd | None = None,
-    local: bool = True,
-) -> MotionRecord:
-    """Relative motions of `frames`, increasing indices in a sequence, followed through all frames between them.
+    sequence: Recording, frames: IntArray, progress: StageProgress | None = None
+) -> dict[int, RelativeMotion | None]:
+    """Motion to each of `frames`, increasing indices in a sequence, from the one before; None where there is none.
 
-    `front_end` measures them, by default a :class:`~conformodal.tracking.tracker.MotionFrontEnd`. With `local`,
-    submaps are built and local features extracted too.
+    Corners are followed through all frames between them.
     """
-    answer, times = set(frames.tolist()), sequence.timestamps_s
-    front_end = front_end or MotionFrontEnd(sequence.camera)
-    record = MotionRecord({}, {})
-    recording, before = None, 0  # the last frame that could be read
-    corners: dict[int, Corners] = {}
+    answer, front_end, recording = set(frames.tolist()), MotionFrontEnd(sequence.camera), None
+    motions: dict[int, RelativeMotion | None] = {}
     span = range(int(frames.min()), int(frames.max()) + 1) if frames.size else range(0)
     for done, i in enumerate(span, start=1):
         raise_if_cancelled()
         if sequence.recording[i] != recording:
-            _append_submaps(record, corners, sequence)
-            corners = {}
             front_end.reset()
             recording = sequence.recording[i]
-        try:
-            image = sequence.image(i)
-        except ImageError as exc:
-            if i in answer:
-                record.unreadable[i] = str(exc)
-            continue
         if i in answer:
-            record.motions[i] = front_end.measure(image)
-            if local:
-                corners[i] = front_end.corners
-                flow = affine_flow(front_end.tracker.step, float(times[i] - times[before]), sequence.camera)
-                record.local_features[i] = extract_local_features(image, sequence.camera)._replace(flow=flow)
+            motions[i] = front_end.measure(sequence.image(i))
         else:
-            front_end.track_only(image)
-        before = i
+            front_end.track_only(sequence.image(i))
         if progress is not None:
             progress("motion", done, len(span))
-    _append_submaps(record, corners, sequence)
-    return record
-
-
-def _append_submaps(record: MotionRecord, corners: dict[int, Corners], sequence: Recording) -> None:
-    """Add the submaps of the frames of one recording, by whose numbers `corners` are."""
-    frames = np.array(list(corners), dtype=np.int64)
-    submaps = build_submaps(list(corners.values()), sequence.camera)
-    record.submaps.extend(replace(submap, frames=frames[submap.frames]) for submap in submaps)
+    return motions
 
 
 def _flow_of(sequence: Recording, i: int, image: UInt8Array) -> FloatArray:
