@@ -79,10 +79,10 @@ class PoseRegions(Regions):
         still the cuboids that hypotheses support.
         """
         super().__init__(sets.bins, sets.masks, sets.unbounded)
-        self.supports, self.limits, self.product = list(supports), np.asarray(limits), product
+        self.supports, self.product = list(supports), product
         self.boxes: list[IntArray] = []  # (b, 7, 2): first cell and one past the last
         projections = [np.zeros_like(mask) for mask in self.masks]
-        for i, (support, limit) in enumerate(zip(self.supports, self.limits, strict=True)):
+        for i, (support, limit) in enumerate(zip(self.supports, limits, strict=True)):
             boxes = _supported(super().runs(i), support, [mask[i] for mask in self.masks], limit)
             self.boxes.append(boxes)
             for j, mask in enumerate(projections):
@@ -96,8 +96,7 @@ class PoseRegions(Regions):
         part, rows = super().__getitem__(index), np.arange(len(self))[index].tolist()
         chosen = copy(self)
         vars(chosen).update(vars(part))
-        chosen.supports, chosen.limits = [self.supports[i] for i in rows], self.limits[rows]
-        chosen.boxes = [self.boxes[i] for i in rows]
+        chosen.supports, chosen.boxes = ([each[i] for i in rows] for each in (self.supports, self.boxes))
         return chosen
 
     @classmethod
@@ -107,7 +106,6 @@ class PoseRegions(Regions):
         whole = copy(each[0])
         vars(whole).update(vars(Regions.concatenate(each)))
         whole.supports = [support for part in each for support in part.supports]
-        whole.limits = np.concatenate([part.limits for part in each])
         whole.boxes = [boxes for part in each for boxes in part.boxes]
         return whole
 
@@ -115,10 +113,9 @@ class PoseRegions(Regions):
         """Whether each projection holds its value of `y`, (n, 7); with `joint`, whether the region holds the pose."""
         if not joint or self.product:
             return super().contains(y, joint)
-        held, codes = super().contains(y, joint), self.bins.encode(np.asarray(y, dtype=np.float64))
+        held, targets = super().contains(y, joint), np.asarray(y, dtype=np.float64)
         for i in np.flatnonzero(held & ~self.unbounded.all(axis=1)).tolist():
-            low, high = self.boxes[i][:, :, 0], self.boxes[i][:, :, 1]
-            held[i] = ((low <= codes[i]) & (codes[i] < high)).all(axis=1).any()
+            held[i] = boxes_hold(self.box_edges(i), targets[i])
         return held
 
     def box_edges(self, i: int) -> FloatArray:
@@ -152,6 +149,11 @@ class PoseRegions(Regions):
             return super().volume
         volumes = np.array([np.ptp(self.box_edges(i), axis=2).prod(axis=1).sum() for i in range(len(self))])
         return np.where(self.unbounded.any(axis=1), np.inf, volumes)
+
+
+def boxes_hold(boxes: FloatArray, point: FloatArray) -> bool:
+    """Whether one of b cuboids (b, d, 2) holds a point (d,)."""
+    return bool(((boxes[..., 0] <= point) & (point <= boxes[..., 1])).all(axis=1).any())
 
 
 def _supported(runs: list[IntArray], support: Support, masks: list[BoolArray], limit: float) -> IntArray:

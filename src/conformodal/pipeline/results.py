@@ -24,7 +24,7 @@ from conformodal.io.folders import FolderError, writing_in
 from conformodal.io.pose_files import TUM_HEADER, read_tum, tum_lines
 from conformodal.localizer.candidates import TARGET_NAMES, pose_targets
 from conformodal.localizer.observations import Place
-from conformodal.localizer.regions import EvidenceType, PoseRegions
+from conformodal.localizer.regions import EvidenceType, PoseRegions, boxes_hold
 
 from .config import Method
 from .estimates import Estimate
@@ -103,7 +103,7 @@ def intervals_hold(records: Sequence[dict[str, Any]], truth: Trajectory, sign_re
     inside = np.zeros(targets.shape, dtype=np.bool_)
     for i, record in enumerate(records):
         for j, name in enumerate(TARGET_NAMES):
-            inside[i, j] = any(_within(part, targets[i, j]) for part in record["intervals"][name])
+            inside[i, j] = boxes_hold(_as_boxes(record["intervals"][name], 1), targets[i, j])
     return inside
 
 
@@ -121,13 +121,13 @@ def records_hold(
     for i, (record, target) in enumerate(zip(records, pose_targets(truth, sign_reference), strict=True)):
         boxes = record[places]
         if boxes is not None and (places != "places" or record_bounded(record)):
-            held[i] = any(all(map(_within, place["box"], target)) for place in boxes)
+            ends = [end for place in boxes for end in place["box"]]
+            held[i] = boxes_hold(_as_boxes(ends, len(TARGET_NAMES)), target)
     return held
 
 
-def _within(interval: Sequence[float | None], value: float) -> bool:
-    low, high = interval
-    return (low is None or low <= value) and (high is None or value <= high)
+def _as_boxes(intervals: list[list[float | None]], n_targets: int) -> FloatArray:
+    return np.array(_infinite(intervals)).reshape(-1, n_targets, 2)
 
 
 # ---- files
