@@ -87,7 +87,7 @@ def small_model():
         split=Split("blocks", 0, _FRAMES, np.arange(12, 16), np.arange(16, 20)),
         known_frames=FrameIdentities(rng.integers(0, 256, (20, 16)).astype(np.uint8), targets),
         expected_input=ExpectedInput(0.1, np.full(21, 1 / 21)),
-        configuration={"method": "conformodal", "data": "numbers"},
+        configuration={"method": "conformodal", "data": "numbers", "unit": "m"},
         comparison=SourceComparison(100, 80, 3, 4, 0.5),
         path_rules=paths,
         quality=QualityRange(np.zeros(3), np.array([255.0, 255.0, 255.0])),

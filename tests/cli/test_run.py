@@ -1,6 +1,7 @@
 """Running on sources other than a data set: videos, Ctrl-C, sources that break off, the live view."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import pytest
 
 from conformodal.io import read_recording
 from conformodal.io.pose_files import read_tum
+from conformodal.pipeline.store import load_model, save_model
 from tests.helpers import refusal, run_ok
 
 
@@ -20,6 +22,17 @@ def test_some_frames_of_a_part_are_not_exchangeable(small_world, tmp_path):
         coverage = json.loads((tmp_path / "metrics.json").read_text())["coverage"]
         assert (coverage["joint_band_99"] is not None) == guaranteed
         assert ("no guarantee" in coverage["assumption"]) != guaranteed
+
+
+def test_lengths_in_units_of_the_data_are_never_called_metres(small_world, tmp_path):
+    model, out = load_model(small_world.model), tmp_path / "out"
+    model.configuration["unit"] = "units"
+    save_model(model, tmp_path / "model")
+    ran = run_ok("run", tmp_path / "model", small_world.folder, "--limit", 30, "--novelty-level", 0.3, "--out", out)
+    evaluated = run_ok("evaluate", out, "--truth", out / "truth.tum")
+    for text in (ran.output, evaluated.output, (out / "report.html").read_text()):
+        assert "units" in text
+        assert not re.search(r"\d m\b|\(m\)", text)
 
 
 @pytest.mark.slow

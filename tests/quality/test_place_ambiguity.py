@@ -47,7 +47,7 @@ def test_stretches_that_look_alike_are_named_by_frames_and_places():
     assert (one.first, one.last, one.n_frames, one.n_places) == (120, 128, 5, 2)
     assert (one.place_xyz, one.alike_xyz) == ((1.5, 0.0, 0.0), (11.5, 0.0, 0.0))
     poses = Trajectory(np.arange(3.0), np.diag([2.0, 1.0, 0.0]), np.tile(FORWARD, (3, 1)))
-    sequence = SimpleNamespace(recording=np.zeros(1))
+    sequence = SimpleNamespace(recording=np.zeros(1), unit="m")
     quality = RecordingQuality(sequence, np.arange(3), poses, np.arange(3), SCALE, None, places)
     (line,) = advice(quality)
     for named in ("frames 120 to 128", "x=1.5", "x=11.5"):

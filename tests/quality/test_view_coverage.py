@@ -40,7 +40,7 @@ def yaw(angles):
 def quality(poses, known, recording=ONE):
     coverage = pose_coverage(poses, recording[: len(poses)], known, SCALE)
     names = np.flatnonzero(np.isin(poses.timestamps_s, known.timestamps_s))
-    sequence = SimpleNamespace(recording=recording[: len(poses)])
+    sequence = SimpleNamespace(recording=recording[: len(poses)], unit="m")
     found = RecordingQuality(sequence, np.arange(len(poses)), poses, names, SCALE, coverage)
     return found, advice(found)
 

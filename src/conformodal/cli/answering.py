@@ -15,7 +15,7 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.progress import StageProgress
-from conformodal.core.words import counted, noun_for
+from conformodal.core.words import counted, length, noun_for
 from conformodal.geometry import Trajectory
 from conformodal.io import Recording
 from conformodal.io.streams.frames import Frame, FrameStream, Pace, RecordingStream, SourceError, prefetch
@@ -200,7 +200,8 @@ def write_answers(
     if find_spec("pyarrow"):  # an extra
         write_region_parquet(folder, records)
     level = answers.model.rules.level
-    viewer = make_viewer(records, answers.trajectories, runner.truth, answers.pictures, level, walls)
+    unit = metrics["configuration"]["unit"]
+    viewer = make_viewer(records, answers.trajectories, runner.truth, answers.pictures, level, walls, unit)
     write_page(folder / PAGE, title, summary, metrics, figures, viewer)
 
 
@@ -216,7 +217,8 @@ def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:
         verb, rest = noun_for(n_unknown, "shows", "show"), metrics.get("errors_known_places", {}).get(ONLINE)
         lines.append(f"{n_unknown} of {n} {verb} no known place: the region is unbounded there.")
         if rest is not None:
-            lines.append(f"Without these the online RMSE is {rest['rmse_m']:.4f} m and {rest['rmse_deg']:.4f} degrees.")
+            off = length(rest["rmse_m"], metrics["configuration"]["unit"], 4)
+            lines.append(f"Without these the online RMSE is {off} and {rest['rmse_deg']:.4f} degrees.")
     if n_unbounded := metrics["n_unbounded"]:
         lines.append(
             f"The region is unbounded in some target in {n_unbounded} of {n}, which show a known place: too few "
@@ -237,7 +239,7 @@ def report_outcome(name: str, metrics: dict[str, Any]) -> None:
         return
     if metrics["n_with_truth"] < metrics["n_answered"]:
         report_line(f"{metrics['n_with_truth']} of {metrics['n_answered']} frames have a true pose; of these:")
-    print_errors(metrics["errors"], metrics["split_note"])
+    print_errors(metrics["errors"], metrics["split_note"], metrics["configuration"]["unit"])
     coverage, band = metrics["coverage"], metrics["coverage"]["joint_band_99"]
     between = "" if band is None else f" (99 % band {band[0]:.3f} to {band[1]:.3f})"
     report_line(
@@ -255,15 +257,16 @@ def report_outcome(name: str, metrics: dict[str, Any]) -> None:
         report_line(f"The region from the frames so far misses the pose in {missed}. {paths['assumption']}")
 
 
-def print_errors(errors: dict[str, dict[str, float]], note: str) -> None:
+def print_errors(errors: dict[str, dict[str, float]], note: str, unit: str) -> None:
     """The table of errors by method."""
     columns = [name for name in ("rmse_m", "rmse_deg", "median_m", "median_deg") if name in next(iter(errors.values()))]
+    headings = [column.replace("_m", f"_{unit}") for column in columns]
     width = max(map(len, METHOD_LABELS.values()))
     report_line(f"errors, {note}")
-    report_line(" │ ".join([f"{'method':<{width}}", *(f"{column:>10}" for column in columns)]))
+    report_line(" │ ".join([f"{'method':<{width}}", *(f"{heading:>12}" for heading in headings)]))
     for name, row in errors.items():
         label = METHOD_LABELS.get(name, name)
-        report_line(" │ ".join([f"{label:<{width}}", *(f"{row[column]:>10.4f}" for column in columns)]))
+        report_line(" │ ".join([f"{label:<{width}}", *(f"{row[column]:>12.4f}" for column in columns)]))
 
 
 def describe_coverage(coverage: dict[str, Any]) -> str:

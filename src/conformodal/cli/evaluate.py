@@ -98,7 +98,8 @@ def evaluate(
     for reason in reasons:
         report_line(reason, bold=True)
     aligned_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
-    print_errors(errors, f"against {truth.name}{aligned_by}")
+    unit = (result.metrics.get("configuration") or {}).get("unit", "m")
+    print_errors(errors, f"against {truth.name}{aligned_by}", unit)
     report_line(describe_coverage(coverage))
     print_where(out / "evaluation")
 

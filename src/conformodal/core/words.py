@@ -21,6 +21,11 @@ def listed(words: Sequence[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
+def length(value: float, unit: str, digits: int = 3) -> str:
+    """A length in its unit, ``m`` or ``units`` of the data's own."""
+    return f"{value:.{digits}f} {unit}"
+
+
 def as_utf8(text: str) -> str:
     """Text without what UTF-8 cannot encode: undecodable bytes of a file name become backslashes and digits."""
     return text.encode("utf-8", "backslashreplace").decode()

@@ -87,7 +87,7 @@ class FrameTable:
         path = folder / METRES_PER_UNIT
         if not path.is_file():
             self.unit = "units"
-            where = f"{self.source}: lengths are in its units wherever 'm' is written; {path} scales them"
+            where = f"{self.source}: lengths are in units of its own; {path} scales them"
             self.notes.append(Note(OWN_SCALE, where))
             return
         scale = read_numbers(path)

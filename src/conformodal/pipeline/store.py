@@ -111,7 +111,7 @@ _RECORD: dict[str, Any] = {  # the content of model.json, without its digest
     "camera": CAMERA_JSON,
     "split": {"kind": SplitKind, "seed": RANGES["seed"]},
     "step_s": _POSITIVE,
-    "configuration": {"method": Method, "data": str, ...: object},
+    "configuration": {"method": Method, "data": str, "unit": {"m", "units"}, ...: object},
     "comparison": (
         None,
         {

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.core.words import counted, finite_or_none
+from conformodal.core.words import counted, finite_or_none, length
 from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.guarantee import WHERE, EvidenceGuarantee
 
@@ -63,7 +63,8 @@ def advice(quality: RecordingQuality) -> list[str]:
             ("Move more slowly, or record more views, in", "up to {} from frame to frame", quality.coverage.fast),
         ):
             for piece in sorted(stretches, key=lambda one: -one.change * (one.last - one.first + 1)):
-                change = why.format(f"{piece.distance_m:.2f} m and {piece.angle_deg:.0f} degrees")
+                away = length(piece.distance_m, quality.sequence.unit, 2)
+                change = why.format(f"{away} and {piece.angle_deg:.0f} degrees")
                 change = change if np.isfinite(piece.distance_m) else "nothing is known"
                 lines.append(f"{what} {_where(piece, quality)}: {change}.")
     if quality.ambiguity is not None:
@@ -107,9 +108,9 @@ def _unbounded(quality: RecordingQuality) -> list[EvidenceGuarantee]:
 
 
 def _limit(share: float, quality: RecordingQuality) -> str:
-    """A share of the view, in degrees and metres."""
+    """A share of the view, as an angle and a distance."""
     turn = share * quality.scale.fov_rad
-    return f"{np.degrees(turn):.1f} degrees or {turn * quality.scale.depth_m:.2f} m"
+    return f"{np.degrees(turn):.1f} degrees or {length(turn * quality.scale.depth_m, quality.sequence.unit, 2)}"
 
 
 def _where(one: Stretch | AmbiguousStretch, quality: RecordingQuality) -> str:

@@ -60,6 +60,7 @@ def write_page(
         title=title,
         summary=summary,
         record=metrics,
+        unit=(metrics.get("configuration") or {}).get("unit", "m"),
         figures=figures,
         viewer=viewer,
         errors=[(label, errors[name]) for name, label in METHOD_LABELS.items() if name in errors],

@@ -12,7 +12,7 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray, UInt8Array
 from conformodal.core.extras import require_extra
-from conformodal.core.words import counted
+from conformodal.core.words import counted, length
 from conformodal.geometry import Trajectory, angle_between_quats
 from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.model import ONLINE
@@ -57,12 +57,13 @@ def make_viewer(
     images: Mapping[str, bytes] | None = None,
     level: float | None = None,
     walls: Sequence[FloatArray] = (),
+    unit: str = "m",
 ) -> dict[str, Any]:
     """What the template of a run's viewer needs; of long runs, it shows at most a thousand frames, evenly spread.
 
     The first trajectory is the answer. A truth of some of the frames is not shown. `images` are JPEG data by frame
     name: where there are some, the frames shown are among these. `level` is the p-value at or below which an image
-    shows no known place; `walls` are (2, 2) segments, drawn where the plan shows x and y.
+    shows no known place; `walls` are (2, 2) segments, drawn where the plan shows x and y. `unit` is that of lengths.
     """
     n, images = len(records), images or {}
     answer, classical = next(iter(trajectories.values())), trajectories.get("classical")
@@ -74,7 +75,7 @@ def make_viewer(
     for i, frame in enumerate(frames):
         if truth is not None:
             frame["held"] = bool(holds_truth[i])
-        frame["say"] = _describe_frame(frame, holds_pose=bool(holds_pose[i]))
+        frame["say"] = _describe_frame(frame, unit, holds_pose=bool(holds_pose[i]))
     stride = max(1, -(-n // MOST_FRAMES))
     shown = [frame for i, frame in enumerate(frames) if (frame["n"] in images if images else i % stride == 0)]
     for frame in shown if images else ():
@@ -83,6 +84,7 @@ def make_viewer(
     data = {
         "frames": shown,
         "axes": flat,
+        "unit": unit,
         "up": ({0, 1, 2} - set(flat)).pop(),
         "truth": truth is not None,
         "classical": classical is not None,
@@ -176,13 +178,13 @@ def kind_of(frame: dict[str, Any]) -> str:
     return "empty" if not n_places else "one place" if n_places == 1 else "several places"
 
 
-def _describe_frame(frame: dict[str, Any], *, holds_pose: bool) -> str:
+def _describe_frame(frame: dict[str, Any], unit: str, *, holds_pose: bool) -> str:
     """A frame in words: the region first, then the chosen pose."""
     kind = kind_of(frame)
     bounded = kind in ("one place", "several places")
     if bounded:
         size = " x ".join(f"{max(_lengths(intervals)):.3f}" for intervals in frame["iv"])
-        lines = [f"The region names {counted(len(frame['bx']), 'place')}, {size} m at most."]
+        lines = [f"The region names {counted(len(frame['bx']), 'place')}, {size} {unit} at most."]
         if not holds_pose:
             lines.append("The chosen pose lies outside it.")
     else:
@@ -190,5 +192,6 @@ def _describe_frame(frame: dict[str, Any], *, holds_pose: bool) -> str:
         lines = [f"Unknown place{p}: the region is unbounded." if kind == "unknown place" else f"The region is {kind}."]
     if "truth" in frame:
         held = f", which the region {'contains' if frame['held'] else 'misses'}" if bounded else ""
-        lines.append(f"The chosen pose is {frame['err']:.3f} m and {frame['deg']:.2f} degrees from the true one{held}.")
+        off = f"{length(frame['err'], unit)} and {frame['deg']:.2f} degrees"
+        lines.append(f"The chosen pose is {off} from the true one{held}.")
     return " ".join(lines)

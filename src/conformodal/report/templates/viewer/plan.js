@@ -46,7 +46,7 @@ function drawGrid(g, w, h, point, scale) {
 function drawScale(g, w, h, scale) {
   const long = ruler * scale, [x, y] = [10, h - 10];
   polyline(g, [[x, y - 5], [x, y], [x + long, y], [x + long, y - 5]], colours.ink, 1.5);
-  say(g, `${ruler} m`, x + long / 2, y - 6, "center", colours.ink);
+  say(g, `${ruler} ${data.unit}`, x + long / 2, y - 6, "center", colours.ink);
 }
 
 // A region without a bound fills the plan with lines, which no box has.

@@ -20,8 +20,8 @@ const placesOf = (boxes) => `${boxes.length}${boxes.length && boxes[0][3] != nul
 
 function facts(f) {
   const list = (p) => p.map((v) => v.toFixed(3)).join(", ");
-  const rows = [["chosen position (m)", list(f.p)]];
-  if (f.truth) rows.push(["true position (m)", list(f.truth)], ["error", `${f.err.toFixed(4)} m, ${f.deg.toFixed(2)} degrees`]);
+  const rows = [[`chosen position (${data.unit})`, list(f.p)]];
+  if (f.truth) rows.push([`true position (${data.unit})`, list(f.truth)], ["error", `${f.err.toFixed(4)} ${data.unit}, ${f.deg.toFixed(2)} degrees`]);
   rows.push(["places of the image", f.whole ? "anywhere" : placesOf(f.bx)]);
   if (f.pb) rows.push(["places after motion", placesOf(f.pb)]);
   if (f.truth) rows.push(["truth in the region", f.held ? "yes" : "no"]);
