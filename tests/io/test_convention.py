@@ -21,7 +21,7 @@ MIRRORED = np.diag([1.0, -1.0, 1.0, 1.0])  # y up becomes y down
 @pytest.fixture(autouse=True)
 def images_are_matched_once(monkeypatch):
     def match(recording):
-        key = recording.image_paths
+        key = recording.image_paths, tuple(recording.posed)
         if key not in _matched:
             _matched[key] = _match_pairs(recording)
         return _matched[key]

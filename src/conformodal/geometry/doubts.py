@@ -20,28 +20,14 @@ _CLEAR, _BETTER = 0.6, 0.2  # rank correlation of speeds at the right shift, and
 
 @dataclass(frozen=True)
 class TruthDoubts:
-    """What is doubtful about a truth.
+    """What is doubtful about a truth."""
 
-    Attributes
-    ----------
-    positions_only
-        Whether its orientations are none: only positions can be compared.
-    reasons
-        One sentence each; empty where nothing is doubtful.
-    """
-
-    positions_only: bool
-    reasons: tuple[str, ...]
+    positions_only: bool  # whether its orientations are none: only positions can be compared
+    reasons: tuple[str, ...]  # one sentence each; empty where nothing is doubtful
 
 
 def doubt_truth(estimate: Trajectory, truth: Trajectory) -> TruthDoubts:
-    """Doubts about the orientations of a truth, and about the body that it is of.
-
-    Parameters
-    ----------
-    estimate, truth
-        (n,) poses of the same frames, in the same world.
-    """
+    """Doubts about the orientations of a truth, and about the body that it is of, of poses (n,) of the same frames."""
     if len(truth) < 2:
         return TruthDoubts(False, ())
     rotations = [Rotation.from_quat(path.orientations_quat_wxyz, scalar_first=True) for path in (estimate, truth)]

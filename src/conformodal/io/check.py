@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
+
+from conformodal.core.progress import Progress
 
 from .cameras import OF_LAYOUT, OTHER_CAMERA, SCALED
 from .convention import fit_of_poses
@@ -36,38 +37,23 @@ class Finding:
 
 @dataclass
 class DatasetCheck:
-    """What a data set holds.
-
-    Attributes
-    ----------
-    n_frames, n_recordings, n_poses, width, height
-        Counts, and pixels of the camera's images.
-    duration_s, rate_hz
-        From the first frame to the last, recordings apart; and the usual rate.
-    extent_m, path_m
-        Size of the box around all positions, (3,), and length of the path, in `unit`; None without poses.
-    findings
-        Everything that is worth knowing.
-    """
+    """What a data set holds."""
 
     n_frames: int
     n_recordings: int
     n_poses: int
     width: int
     height: int
-    duration_s: float
-    rate_hz: float
-    extent_m: list[float] | None
+    duration_s: float  # from the first frame to the last, recordings apart
+    rate_hz: float  # the usual one
+    extent_m: list[float] | None  # size of the box around all positions, (3,), in `unit`; None without poses
     path_m: float | None
     unit: str
     findings: list[Finding] = field(default_factory=list)
 
 
-def check_recording(sequence: Recording, progress: Callable[[int, int], None] | None = None) -> DatasetCheck:
-    """Look at every frame of a data set; decodes all images. `progress` is called with images done and images in all.
-
-    Readers have refused already what cannot be read at all, and left out or remarked what can be used in part.
-    """
+def check_recording(sequence: Recording, progress: Progress | None = None) -> DatasetCheck:
+    """Look at every frame of a data set; decodes all images."""
     names = [path.name for path in sequence.image_paths]
     linked = np.flatnonzero(np.diff(sequence.recording) == 0)
     steps = np.diff(sequence.timestamps_s)[linked]
@@ -113,7 +99,7 @@ def check_recording(sequence: Recording, progress: Callable[[int, int], None] | 
     )
 
 
-def _decode_all(sequence: Recording, progress: Callable[[int, int], None] | None) -> tuple[list[bytes], list[str]]:
+def _decode_all(sequence: Recording, progress: Progress | None) -> tuple[list[bytes], list[str]]:
     """Digests of all images, empty where one cannot be read; and why these cannot."""
 
     def look(i: int) -> tuple[bytes, str]:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.geometry import Trajectory, cross_matrices, poses_at
+from conformodal.geometry import PinholeCamera, Trajectory, cross_matrices, poses_at
 from conformodal.geometry.lens import on_plane
 
 from .errors import ImageError
@@ -28,7 +28,7 @@ _NEAR_PX = 2.0  # from the epipolar line
 _FITS, _FITS_NOT, _BETTER, _EQUAL = 0.8, 0.5, 0.1, 0.02
 _PEAK = 0.25  # of a shift that fits above the usual one
 _LONGEST_SHIFT_S, _SHIFTS = 10.0, 401
-_FOCALS = np.geomspace(0.3, 6.0, 240)  # of the longer side
+_FOCALS = np.geomspace(0.3, 6.0, 120)  # of the longer side
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,19 +50,12 @@ class _Matches:
 
 @dataclass(frozen=True)
 class PoseFit:
-    """How well poses fit the images.
+    """How well poses fit the images."""
 
-    Attributes
-    ----------
-    share
-        Of the matched corners within 2 pixels of their epipolar line, with poses and camera as they are read; NaN
-        where there are too few to tell.
-    cause
-        What is wrong with the poses or the camera, and what to do; empty where nothing is.
-    """
-
+    # of the matched corners within 2 pixels of their epipolar line, with poses and camera as they are read; NaN where
+    # there are too few to tell
     share: float
-    cause: str
+    cause: str  # what is wrong with poses or camera, and what to do; empty where nothing is
 
 
 @dataclass(frozen=True)
@@ -79,21 +72,19 @@ def fit_of_poses(recording: Recording) -> PoseFit:
     Poses that are late or early, another focal length, and another convention are tried in this order: the first wins
     that is as good as the best of them. A focal length that is only a little off is told as well.
     """
-    posed = _posed_part(recording)
-    matches = _match_pairs(posed) if len(posed) > 1 else None
-    if matches is None or len(matches) < _LEAST_MATCHES:
+    matches = _match_pairs(recording) if recording.poses is not None and len(recording.poses) > 1 else None
+    if matches is None or recording.poses is None or len(matches) < _LEAST_MATCHES:
         return PoseFit(float("nan"), "")
-    poses = posed.require_truth().poses_se3
-    plane = _on_plane(posed, matches)
-    fx = posed.camera.fx
+    poses, camera = recording.poses.poses_se3, recording.camera
+    plane = on_plane(camera, matches.pixels.reshape(-1, 2)).reshape(-1, 2, 2)
 
     def share_of(path: FloatArray) -> float:
-        return _share_near(matches, matches.motions(path), plane, fx)
+        return _share_near(matches, matches.motions(path), plane, camera.fx)
 
     given = share_of(poses)
-    changes = [_best_focal(posed, matches, poses), _best_convention(poses, share_of)]
+    changes = [_best_focal(camera, matches, poses), _best_convention(poses, share_of)]
     if given < _FITS:
-        changes.insert(0, _best_shift(posed, matches, plane))
+        changes.insert(0, _best_shift(recording.poses, matches, plane, camera.fx))
     most = max(change.share for change in changes)
     near = f"{100 * given:.0f} % of the matched corners are within {_NEAR_PX:g} px of their epipolar line"
     if most >= max(_FITS_NOT, given + _BETTER):
@@ -108,9 +99,8 @@ def fit_of_poses(recording: Recording) -> PoseFit:
     )
 
 
-def _best_shift(recording: Recording, matches: _Matches, plane: FloatArray) -> _Change:
+def _best_shift(truth: Trajectory, matches: _Matches, plane: FloatArray, focal_px: float) -> _Change:
     """The poses of another time that fit best."""
-    truth = recording.require_truth()
     times = truth.timestamps_s
     step = float(np.median(np.diff(times)))
     asked = times[matches.frames].ravel()
@@ -121,7 +111,7 @@ def _best_shift(recording: Recording, matches: _Matches, plane: FloatArray) -> _
         inside = np.isfinite(rows).all(axis=1)
         path = np.full((asked.size, 4, 4), np.nan)
         path[inside] = Trajectory(asked[inside], rows[inside, :3], rows[inside, 3:]).poses_se3
-        return _share_near(in_order, in_order.motions(path), plane, recording.camera.fx)
+        return _share_near(in_order, in_order.motions(path), plane, focal_px)
 
     longest = min(_LONGEST_SHIFT_S, float(np.ptp(times)) / 2)
     shifts = np.linspace(-longest, longest, _SHIFTS)
@@ -140,9 +130,9 @@ def _best_shift(recording: Recording, matches: _Matches, plane: FloatArray) -> _
     )
 
 
-def _best_focal(recording: Recording, matches: _Matches, poses_se3: FloatArray) -> _Change:
+def _best_focal(camera: PinholeCamera, matches: _Matches, poses_se3: FloatArray) -> _Change:
     """The focal length that fits best, or the given one where that is hardly worse."""
-    camera, motions = recording.camera, matches.motions(poses_se3)
+    motions = matches.motions(poses_se3)
     focals = _FOCALS * max(camera.width, camera.height)
     centred = matches.pixels - (camera.cx, camera.cy)
     shares = [_share_near(matches, motions, centred / focal, focal) for focal in focals]
@@ -170,20 +160,6 @@ def _best_convention(poses_se3: FloatArray, share_of: Callable[[FloatArray], flo
     return _Change(most, f"poses fit the images as {names}, and are read as {AS_GIVEN}")
 
 
-def _posed_part(recording: Recording) -> Recording:
-    """The frames that have a pose."""
-    at = recording.posed
-    if len(at) == len(recording) or not len(at):
-        return recording
-    return replace(
-        recording,
-        image_paths=tuple(recording.image_paths[i] for i in at),
-        timestamps_s=recording.timestamps_s[at],
-        recording=recording.recording[at],
-        given_test=None,
-    )
-
-
 def _rolled(poses: FloatArray, by: int) -> FloatArray:
     """Poses (n, 4, 4) whose quaternions, ``wxyz``, are in another order."""
     rows = table_of(poses)
@@ -192,10 +168,11 @@ def _rolled(poses: FloatArray, by: int) -> FloatArray:
 
 
 def _match_pairs(recording: Recording) -> _Matches | None:
-    """Matches of frames, evenly spread, with a later one; None where no frame moves."""
+    """Matches of frames that have a pose, evenly spread, with a later one; None where no frame moves."""
+    posed = recording.posed.tolist()
     frames, pixels = [], []
-    for first in np.unique(np.linspace(0, len(recording) - 2, _PAIRS).astype(int)).tolist():
-        matched = _match_later_frame(recording, first)
+    for first in np.unique(np.linspace(0, len(posed) - 2, _PAIRS).astype(int)).tolist():
+        matched = _match_later_frame(recording, posed[first:])
         if matched is not None:
             frames.append((first, first + matched.step))
             pixels.append(matched.pixels)
@@ -210,16 +187,16 @@ class _LaterFrame(NamedTuple):
     pixels: FloatArray  # (m, 2, 2) corners in both
 
 
-def _match_later_frame(recording: Recording, first: int) -> _LaterFrame | None:
-    """A later frame of the same recording in which corners have moved; None where nothing moves."""
+def _match_later_frame(recording: Recording, frames: list[int]) -> _LaterFrame | None:
+    """A later frame of the first one's recording in which corners have moved; None where nothing moves."""
+    number = recording.recording[frames[0]]
     try:
-        grey = cv2.cvtColor(recording.image(first), cv2.COLOR_RGB2GRAY)
+        grey = cv2.cvtColor(recording.image(frames[0]), cv2.COLOR_RGB2GRAY)
         corners = cv2.goodFeaturesToTrack(grey, _CORNERS, 0.01, 7)
         for step in _STEPS:
-            second = first + step
-            if corners is None or second >= len(recording) or recording.recording[second] != recording.recording[first]:
+            if corners is None or step >= len(frames) or recording.recording[frames[step]] != number:
                 return None
-            other = cv2.cvtColor(recording.image(second), cv2.COLOR_RGB2GRAY)
+            other = cv2.cvtColor(recording.image(frames[step]), cv2.COLOR_RGB2GRAY)
             tracked, there, _ = cv2.calcOpticalFlowPyrLK(grey, other, corners, None)  # type: ignore[call-overload]
             again, back, _ = cv2.calcOpticalFlowPyrLK(other, grey, tracked, None)  # type: ignore[call-overload]
             kept = (there & back).ravel().astype(bool) & (np.linalg.norm(again - corners, axis=2).ravel() < 1)
@@ -229,11 +206,6 @@ def _match_later_frame(recording: Recording, first: int) -> _LaterFrame | None:
     except ImageError:
         pass
     return None
-
-
-def _on_plane(recording: Recording, matches: _Matches) -> FloatArray:
-    """Where rays through matched corners (m, 2, 2) meet the planes at depth 1."""
-    return on_plane(recording.camera, matches.pixels.reshape(-1, 2)).reshape(-1, 2, 2)
 
 
 def _share_near(matches: _Matches, motions: FloatArray, plane: FloatArray, focal_px: float) -> float:

@@ -21,15 +21,10 @@ from .recording import ImageChange
 class PixelNoise:
     """Gaussian noise on every pixel and channel of the image as the camera delivers it (the paper, table 1).
 
-    Attributes
-    ----------
-    sigma
-        Standard deviation where pixels are in [0, 1].
-    seed
-        Of the noise; every frame has another by its name.
+    Every frame has another by its name.
     """
 
-    sigma: float
+    sigma: float  # standard deviation where pixels are in [0, 1]
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -58,16 +53,11 @@ class PixelNoise:
 class Disturbance:
     """One disturbance of each image, of random kind and strength: blur, exposure, pixel noise or JPEG compression.
 
-    Attributes
-    ----------
-    seed
-        Of kind and strength; every frame has its own by its name.
-    noise
-        Of the images before they are disturbed.
+    Every frame has its own by its name.
     """
 
     seed: int = 0
-    noise: ImageChange | None = None
+    noise: ImageChange | None = None  # of the images before they are disturbed
     # the weakest and the strongest disturbance of each kind; between them, logarithms are spread evenly
     blur_px: tuple[float, float] = (1.0, 6.0)  # standard deviation
     darker: tuple[float, float] = (0.6, 0.1)  # factor of brightness

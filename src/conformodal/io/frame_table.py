@@ -36,51 +36,22 @@ _SAME_S = 1e-3
 
 @dataclass(eq=False)
 class FrameTable:
-    """Frames as a reader finds them.
-
-    Attributes
-    ----------
-    name
-        Of the data set.
-    images
-        One file per frame, in order.
-    times
-        (n,) seconds.
-    camera
-        Of all images, or a list with that of each; None where nothing says it.
-    poses
-        (n, 7) rows ``x y z qw qx qy qz`` of camera to world, NaN where there is none; None for a data set without.
-    recording
-        (n,) numbers; None for one recording.
-    given_test
-        (n,) whether the data set's own lists name a frame for testing; None if it has no lists.
-    why
-        Why a frame has no pose, where more is known than that it is missing.
-    notes
-        What was wrong or unusual so far.
-    root
-        The folder in which images must lie; None where their names come from listing it.
-    source
-        The file that names images, or where poses or a camera were looked for, for messages.
-    unit
-        Of positions: metres, or units of the data's own.
-    as_stored
-        Whether poses and cameras are of images as they are stored, whatever EXIF says of their orientation.
-    """
+    """Frames as a reader finds them."""
 
     name: str
-    images: list[Path]
-    times: FloatArray
-    camera: PinholeCamera | list[PinholeCamera] | None
-    poses: FloatArray | None = None
-    recording: IntArray | None = None
-    given_test: BoolArray | None = None
-    why: Faults = field(default_factory=dict)
-    notes: list[Note] = field(default_factory=list)
-    root: Path | None = None
+    images: list[Path]  # one file per frame, in order
+    times: FloatArray  # (n,) seconds
+    camera: PinholeCamera | list[PinholeCamera] | None  # of all images, or of each; None where nothing says it
+    poses: FloatArray | None = None  # (n, 7) ``x y z qw qx qy qz``, camera to world, NaN where there is none
+    recording: IntArray | None = None  # (n,) numbers; None for one recording
+    given_test: BoolArray | None = None  # (n,) whether the data set's own lists name a frame for testing
+    why: Faults = field(default_factory=dict)  # why a frame has no pose, where more is known than that it is missing
+    notes: list[Note] = field(default_factory=list)  # what was wrong or unusual so far
+    root: Path | None = None  # the folder in which images must lie; None where their names come from listing it
+    # the file that names images, or where poses or a camera were looked for, for messages
     source: Path | str = ""
-    as_stored: bool = False
-    unit: str = "m"
+    as_stored: bool = False  # whether poses and cameras are of images as stored, whatever EXIF says
+    unit: str = "m"  # of positions: metres, or units of the data's own
 
     def scale_by(self, folder: Path) -> None:
         """Bring positions of another unit to metres by ``metres-per-unit.txt``; without it, they keep their own."""

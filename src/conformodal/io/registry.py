@@ -50,21 +50,12 @@ class Layout(StrEnum):
 
 
 class Reader(NamedTuple):
-    """How a layout is read.
+    """How a layout is read."""
 
-    Attributes
-    ----------
-    read
-        From a folder to its frames; raises DatasetError, which names a file, for what is missing or damaged.
-    recognises
-        Whether a folder is in the layout; looks at names alone.
-    sign
-        What gives the layout away, for people.
-    """
-
+    # from a folder to its frames; raises DatasetError, which names a file, for what is missing or damaged
     read: Callable[[Path], FrameTable]
-    recognises: Callable[[Path], bool]
-    sign: str
+    recognises: Callable[[Path], bool]  # whether a folder is in the layout; looks at names alone
+    sign: str  # what gives the layout away, for people
 
 
 _BUILT_IN: dict[str, Reader] = {
