@@ -7,7 +7,6 @@ from conformodal.geometry import (
     PoseError,
     Trajectory,
     angle_between_quats,
-    associate,
     fix_sign,
     matrix_from_quat_wxyz,
     sign_reference,
@@ -53,17 +52,6 @@ def test_matrices_that_are_no_rotations_are_refused(matrix, match):
         check_rotation_matrices(np.stack([np.eye(3), matrix]))
 
 
-def test_association_pairs_nearest_times():
-    truth, estimate = random_trajectory(10), random_trajectory(3)
-    shifted = Trajectory(np.array([0.104, 0.35, 0.897]), estimate.positions_xyz, estimate.orientations_quat_wxyz)
-    mine, theirs = associate(shifted, truth)
-    assert mine.tolist() == [0, 2]
-    assert theirs.tolist() == [1, 9]
-    late = Trajectory(truth.timestamps_s + 100, truth.positions_xyz, truth.orientations_quat_wxyz)
-    with pytest.raises(PoseError, match="no estimated pose"):
-        associate(late, truth)
-
-
 @pytest.mark.parametrize(
     ("make", "match"),
     [
@@ -72,8 +60,6 @@ def test_association_pairs_nearest_times():
         (lambda: Trajectory(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 4))), "length zero"),
         (lambda: Trajectory([0.0, np.nan], np.zeros((2, 3)), np.ones((2, 4))), "timestamps_s must be finite"),
         (lambda: Trajectory(np.zeros((2, 1)), np.zeros((2, 3)), np.ones((2, 4))), "timestamps_s must be finite"),
-        (lambda: associate(random_trajectory(3)[:0], random_trajectory(3)), "cannot be paired"),
-        (lambda: associate(random_trajectory(3), random_trajectory(3)[:0]), "cannot be paired"),
         (lambda: matrix_from_quat_wxyz(np.zeros((2, 4))), "quaternions are not rotations"),
         (lambda: Trajectory.from_poses_se3(np.zeros(1), np.zeros((1, 3, 4))), r"\(n, 4, 4\)"),
         (lambda: trajectory_errors(random_trajectory(3), random_trajectory(4)), "pair them"),

@@ -11,7 +11,7 @@ import typer
 
 from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted, noun_for
-from conformodal.geometry import Alignment, Trajectory, align, associate, poses_at, recall, relative_errors
+from conformodal.geometry import Alignment, Trajectory, align, poses_at, recall, relative_errors
 from conformodal.geometry.doubts import doubt_clock, doubt_truth
 from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, straightness
 from conformodal.io import Layout
@@ -57,8 +57,11 @@ def evaluate(
         rows, gaps = poses_at(true_poses, times, max_gap)
         posed = np.flatnonzero(np.isfinite(rows).all(axis=1))
         if not posed.size:
-            associate(result.answer, true_poses, max_gap)  # says why
-            raise OdometryError(f"{truth}: no pose of the results lies between true ones within {max_gap:g} s")
+            spans = [f"{t.min():.3f} to {t.max():.3f} s" for t in (times, true_poses.timestamps_s)]
+            raise OdometryError(
+                f"{truth}: no pose of the results, from {spans[0]}, lies between true ones within {max_gap:g} s, from "
+                f"{spans[1]}{clock_hint(times, true_poses.timestamps_s)}"
+            )
         matched = Trajectory(times[posed], rows[posed, :3], rows[posed, 3:])
         aligned = {name: align(path[posed], matched, alignment) for name, path in result.trajectories.items()}
         errors = {

@@ -12,7 +12,7 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array
 from conformodal.geometry import PinholeCamera
 
-from .world import DOOR_CENTRE, Building
+from .world import DOOR_CENTRE, CorridorWorld
 
 CAMERA = PinholeCamera(fx=100.0, fy=100.0, cx=79.5, cy=59.5, width=160, height=120)
 # The drone carries the only lamp: beyond some 8 m nothing is seen, so far ends do not give a place away.
@@ -51,7 +51,7 @@ _STICKERS |= {"hall_wall": 5, "hall_wall_door": 4, "end_east": 8, "poster": 10, 
 class Renderer:
     """Renders views of a world."""
 
-    def __init__(self, world: Building, camera: PinholeCamera = CAMERA) -> None:
+    def __init__(self, world: CorridorWorld, camera: PinholeCamera = CAMERA) -> None:
         self.world, self.camera = world, camera
         self._intersector = RayMeshIntersector(world.mesh)
         columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))

@@ -7,7 +7,6 @@ y across it towards the rooms, z up; metres; the floor is z = 0.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -37,31 +36,6 @@ class Panel:
     uv: tuple[float, float] = (0.0, 0.0)
 
 
-class Building(ABC):
-    """A world that can be rendered."""
-
-    seed: int  # of its textures
-    panels: list[Panel]
-
-    @property
-    def mesh(self) -> trimesh.Trimesh:
-        """Two triangles per panel: panel i is faces 2 i and 2 i + 1."""
-        corner, u, v = (np.array([getattr(p, name) for p in self.panels]) for name in ("corner", "u", "v"))
-        vertices = np.stack((corner, corner + u, corner + u + v, corner + v), axis=1).reshape(-1, 3)
-        quad = np.array([[0, 1, 2], [0, 2, 3]])
-        faces = (quad[None] + 4 * np.arange(len(self.panels))[:, None, None]).reshape(-1, 3)
-        return trimesh.Trimesh(vertices, faces, process=False)
-
-    @abstractmethod
-    def repetitions(self, T_world_cam: FloatArray) -> FloatArray:
-        """Other poses (m, 4, 4) from which the view would be the same if nothing in the building were unique."""
-
-    def plan(self) -> list[FloatArray]:
-        """Walls as seen from above: (2, 2) segments of x, y."""
-        upright = [p for p in self.panels if p.v[2] > 0 and p.u[2] == 0 and p.corner[2] < 1.0]
-        return [np.array([p.corner[:2], (p.corner[0] + p.u[0], p.corner[1] + p.u[1])]) for p in upright]
-
-
 def box(corner: Vector, size: Vector, material: str) -> list[Panel]:
     """Sides and top of a box that stands on the floor."""
     (x, y, z), (a, b, c) = corner, size
@@ -75,11 +49,11 @@ def box(corner: Vector, size: Vector, material: str) -> list[Panel]:
 
 
 @dataclass
-class CorridorWorld(Building):
+class CorridorWorld:
     """A hallway of `n_modules` identical modules and the landmarks that tell some apart."""
 
     n_modules: int = 5
-    seed: int = 0
+    seed: int = 0  # of its textures
     rearranged: bool = False  # whether desks and shelves have changed places and the poster is gone
     panels: list[Panel] = field(init=False, repr=False)
 
@@ -99,8 +73,22 @@ class CorridorWorld(Building):
         """Length of the hall in metres."""
         return self.n_modules * MODULE_LENGTH
 
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """Two triangles per panel: panel i is faces 2 i and 2 i + 1."""
+        corner, u, v = (np.array([getattr(p, name) for p in self.panels]) for name in ("corner", "u", "v"))
+        vertices = np.stack((corner, corner + u, corner + u + v, corner + v), axis=1).reshape(-1, 3)
+        quad = np.array([[0, 1, 2], [0, 2, 3]])
+        faces = (quad[None] + 4 * np.arange(len(self.panels))[:, None, None]).reshape(-1, 3)
+        return trimesh.Trimesh(vertices, faces, process=False)
+
+    def plan(self) -> list[FloatArray]:
+        """Walls as seen from above: (2, 2) segments of x, y."""
+        upright = [p for p in self.panels if p.v[2] > 0 and p.u[2] == 0 and p.corner[2] < 1.0]
+        return [np.array([p.corner[:2], (p.corner[0] + p.u[0], p.corner[1] + p.u[1])]) for p in upright]
+
     def repetitions(self, T_world_cam: FloatArray) -> FloatArray:
-        """The pose moved by whole modules, (n_modules - 1, 4, 4)."""
+        """The pose moved by whole modules (n_modules - 1, 4, 4), where the view would be the same but for landmarks."""
         place = int(T_world_cam[0, 3] // MODULE_LENGTH)
         moves = [k for k in range(-place, self.n_modules - place) if k]
         poses = np.tile(T_world_cam, (len(moves), 1, 1))

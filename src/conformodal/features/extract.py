@@ -40,7 +40,7 @@ class FeatureCache:
             content = read_file(image_file)
         except OSError as exc:
             raise ImageError(f"{image_file}: image is missing or unreadable: {exc.strerror}") from exc
-        disturbed = "" if noise is None or not noise.changes else f"{noise} {image_file.name}"
+        disturbed = "" if noise is None else f"{noise} {image_file.name}"
         return hashlib.sha256(backbone.fingerprint.encode() + disturbed.encode() + content).hexdigest()
 
     def load(self, key: str, kind: str = "features") -> AnyArray | None:

@@ -7,7 +7,6 @@ from .camera import PinholeCamera
 from .metrics import (
     Alignment,
     align,
-    associate,
     orientation_errors_deg,
     poses_at,
     position_errors_m,

@@ -13,8 +13,6 @@ from conformodal.core.ranges import as_member
 
 from .poses import PoseError, Trajectory, angle_between_quats
 
-# Matches what common tools use to pair estimated and true timestamps.
-MAX_TIME_DIFFERENCE_S = 0.01
 # Between two poses that one is interpolated from: images of 10 Hz poses are bridged, a lost pose among them is not.
 MAX_GAP_S = 0.15
 _SAME_S = 1e-3  # a pose as near in time is taken as it is
@@ -40,7 +38,9 @@ def orientation_errors_deg(estimate: Trajectory, truth: Trajectory) -> FloatArra
 
 def trajectory_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
     """``rmse_m`` = sqrt(mean squared position error), ``rmse_deg`` alike, and the medians."""
-    metres, degrees = _pose_errors(estimate, truth)
+    if len(truth) == 0:
+        raise PoseError("a trajectory without poses has no error")
+    metres, degrees = position_errors_m(estimate, truth), orientation_errors_deg(estimate, truth)
     return {
         "rmse_m": float(np.sqrt(np.mean(metres**2))),
         "rmse_deg": float(np.sqrt(np.mean(degrees**2))),
@@ -55,32 +55,8 @@ _RECALL_THRESHOLDS = ((0.05, 5.0), (0.1, 1.0), (0.25, 2.0), (0.5, 5.0), (5.0, 10
 
 def recall(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
     """Share of poses within thresholds of both position and orientation, by ``"0.05 m, 5 deg"``."""
-    metres, degrees = _pose_errors(estimate, truth)
+    metres, degrees = position_errors_m(estimate, truth), orientation_errors_deg(estimate, truth)
     return {f"{m:g} m, {d:g} deg": float(np.mean((metres <= m) & (degrees <= d))) for m, d in _RECALL_THRESHOLDS}
-
-
-class TimePairs(NamedTuple):
-    """Indices (m,) of poses that belong together."""
-
-    estimate: IntArray
-    truth: IntArray
-
-
-def associate(estimate: Trajectory, truth: Trajectory, max_difference_s: float = MAX_TIME_DIFFERENCE_S) -> TimePairs:
-    """Pair every estimated pose with the nearest true one in time, within `max_difference_s` seconds."""
-    if len(estimate) == 0 or len(truth) == 0:
-        raise PoseError(f"{len(estimate)} estimated and {len(truth)} true poses cannot be paired")
-    order = np.argsort(truth.timestamps_s, kind="stable")
-    times = truth.timestamps_s[order]
-    nearest = nearest_in_time(times, estimate.timestamps_s)
-    matched = np.abs(times[nearest] - estimate.timestamps_s) <= max_difference_s
-    if not matched.any():
-        raise PoseError(
-            f"no estimated pose has a true one within {max_difference_s} s: estimates span "
-            f"{estimate.timestamps_s.min():.3f} to {estimate.timestamps_s.max():.3f} s, "
-            f"truth {times.min():.3f} to {times.max():.3f} s{clock_hint(estimate.timestamps_s, times)}"
-        )
-    return TimePairs(np.flatnonzero(matched), order[nearest[matched]])
 
 
 def in_seconds(times: FloatArray) -> tuple[FloatArray, str]:
@@ -155,16 +131,10 @@ def nearest_in_time(times_s: FloatArray, asked_s: FloatArray) -> IntArray:
     return np.where(closer_left, left, right)
 
 
-def _pose_errors(estimate: Trajectory, truth: Trajectory) -> tuple[FloatArray, FloatArray]:
-    if len(truth) == 0:
-        raise PoseError("a trajectory without poses has no error")
-    return position_errors_m(estimate, truth), orientation_errors_deg(estimate, truth)
-
-
 def _check_same_length(estimate: Trajectory, truth: Trajectory) -> None:
     """Refuse trajectories that are not paired pose by pose."""
     if len(estimate) != len(truth):
-        raise PoseError(f"estimate has {len(estimate)} poses, truth {len(truth)}; pair them first (associate)")
+        raise PoseError(f"estimate has {len(estimate)} poses, truth {len(truth)}; pair them first (poses_at)")
 
 
 class Alignment(StrEnum):
@@ -240,18 +210,14 @@ class MotionErrors(NamedTuple):
     degrees: FloatArray
 
 
-def relative_errors(estimate: Trajectory, truth: Trajectory, delta: int = 1) -> MotionErrors:
-    """Errors of the n - `delta` motions over `delta` frames (Sturm et al. 2012, eq. 2)."""
+def relative_errors(estimate: Trajectory, truth: Trajectory) -> MotionErrors:
+    """Errors of the n - 1 motions from frame to frame (Sturm et al. 2012, eq. 2)."""
     _check_same_length(estimate, truth)
-    if delta < 1 or len(truth) <= delta:
-        raise PoseError(
-            f"relative errors need delta of at least 1 and more than delta poses, got {delta}, {len(truth)}"
-        )
     motions = []
     for path in (truth, estimate):
         rotation = Rotation.from_quat(path.orientations_quat_wxyz, scalar_first=True)
-        back = rotation[:-delta].inv()
-        motions.append((back * rotation[delta:], back.apply(path.positions_xyz[delta:] - path.positions_xyz[:-delta])))
+        back = rotation[:-1].inv()
+        motions.append((back * rotation[1:], back.apply(np.diff(path.positions_xyz, axis=0))))
     (R_true, t_true), (R, t) = motions
     # turning the difference back into the frame at the end does not change its length
     return MotionErrors(np.linalg.norm(t - t_true, axis=1), np.degrees((R_true.inv() * R).magnitude()))

@@ -108,19 +108,9 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> UInt8Array:
     Grey images become RGB; 16 bits become 8; what is transparent lies on black; an image is turned as its EXIF
     orientation says.
 
-    Parameters
-    ----------
-    path
-        The file.
-    size
-        Width and height that it must have.
-
-    Raises
-    ------
-    ImageError
-        If the file is missing, truncated or not an image, of another size, holds several pictures or numbers that have
-        no range (32 bits, floating point). (Pillow refuses truncated files; some decoders fill the rest with grey in
-        silence.)
+    `size` is the width and height that it must have. An :class:`ImageError` if the file is missing, truncated or not an
+    image, of another size, holds several pictures or numbers that have no range (32 bits, floating point). (Pillow
+    refuses truncated files; some decoders fill the rest with grey in silence.)
     """
     return decode(path, str(path), size)
 

@@ -32,14 +32,9 @@ class PixelNoise:
             raise DatasetError(f"noise needs a standard deviation of at least 0, got {self.sigma}")
         check_ranges({"seed": self.seed}, DatasetError)
 
-    @property
-    def changes(self) -> bool:
-        """Whether images change."""
-        return self.sigma > 0
-
     def apply(self, image: UInt8Array, name: str) -> UInt8Array:
         """The noisy image (h, w, 3), cut off at black and white and rounded, as a camera would."""
-        if not self.changes:
+        if self.sigma == 0:
             return image
         rng = np.random.default_rng([self.seed, crc32(name.encode())])
         noisy = rng.standard_normal(image.shape, dtype=np.float32)
@@ -64,11 +59,6 @@ class Disturbance:
     brighter: tuple[float, float] = (1.3, 2.5)
     sigma: tuple[float, float] = (0.03, 0.25)  # of pixel noise, where pixels are in [0, 1]
     jpeg_quality: tuple[float, float] = (30.0, 5.0)
-
-    @property
-    def changes(self) -> bool:
-        """Whether images change."""
-        return True
 
     def apply(self, image: UInt8Array, name: str) -> UInt8Array:
         """The disturbed image (h, w, 3)."""

@@ -23,10 +23,6 @@ class FolderError(ConformodalError):
     """A folder to write in that cannot be used: not a folder, not writable, in use, or with something else in it."""
 
 
-class FolderInUseError(FolderError):
-    """A folder that another process, or another thread, is writing in."""
-
-
 def check_writable(folder: Path) -> None:
     """Create a folder if it is missing, and test that something can be written in it."""
     try:
@@ -73,7 +69,7 @@ def locked(file: Path) -> Iterator[None]:
         file.write_text(f"{os.getpid()}\n", encoding="ascii")
     except Timeout:
         holder = file.read_text(encoding="ascii", errors="replace").strip() if file.is_file() else ""
-        raise FolderInUseError(f"{file.parent}: in use by process {holder}; wait, or name another folder") from None
+        raise FolderError(f"{file.parent}: in use by process {holder}; wait, or name another folder") from None
     except OSError as exc:
         lock.release()
         if exc.errno not in _NO_LOCKS:

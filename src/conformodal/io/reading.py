@@ -112,15 +112,14 @@ def read_numbers(path: Path) -> FloatArray:
         raise DatasetError(f"{path}: cannot be read as numbers: {exc}") from exc
 
 
-def natural_key(name: str) -> tuple[tuple[str | int, ...], str]:
-    """Sorts names by the numbers in them: ``frame2`` before ``frame10``."""
-    parts = _DIGITS.split(name)
-    return tuple(int(part) if k % 2 else part for k, part in enumerate(parts)), name
-
-
 def by_name(items: Iterable[Item], name: Callable[[Item], str]) -> list[Item]:
     """Items in the natural order of their names, 2 before 10; refuses decimals whose order depends on their zeros."""
-    ordered = sorted(items, key=lambda item: natural_key(name(item)))
+
+    def key(item: Item) -> tuple[tuple[str | int, ...], str]:
+        parts = _DIGITS.split(name(item))
+        return tuple(int(part) if k % 2 else part for k, part in enumerate(parts)), name(item)
+
+    ordered = sorted(items, key=key)
     stems = [Path(name(item)).stem for item in ordered]
     try:
         decimals = [number(stem) for stem in stems if "." in stem]
@@ -181,7 +180,7 @@ def _names_alike(folder: Path, mtime_ns: int) -> dict[str, list[str]]:
 
 
 def numbered_frames(folder: Path, pattern: re.Pattern[str]) -> list[tuple[int, Path]]:
-    """Numbers and paths of a folder's images, in order; the first group of the pattern is the number."""
+    """Numbers and paths of what a folder holds, in order; the first group of the pattern is the number."""
     frames = sorted((int(m[1]), path) for path in folder.iterdir() if (m := pattern.fullmatch(path.name)))
     _refuse_twice([number for number, _ in frames], [path for _, path in frames])
     return frames
@@ -189,10 +188,10 @@ def numbered_frames(folder: Path, pattern: re.Pattern[str]) -> list[tuple[int, P
 
 def recording_folders(parent: Path, prefix: str) -> list[Path]:
     """Folders of recordings, prefix and number, in the order of their numbers."""
-    matches = [(re.fullmatch(rf"{prefix}([0-9]{{1,9}})", path.name), path) for path in parent.glob(f"{prefix}*/")]
-    numbered = sorted((int(match[1]), path) for match, path in matches if match)
-    _refuse_twice([number for number, _ in numbered], [path for _, path in numbered])
-    return [path for _, path in numbered]
+    if not parent.is_dir():
+        return []
+    numbered = numbered_frames(parent, re.compile(rf"{prefix}([0-9]{{1,9}})"))
+    return [path for _, path in numbered if path.is_dir()]
 
 
 class NumberedImages(NamedTuple):

@@ -22,10 +22,6 @@ from .reading import BETWEEN_RECORDINGS_S, Note
 class ImageChange(Protocol):
     """What is done to every image that is read, such as :class:`PixelNoise`; its text tells it from others."""
 
-    @property
-    def changes(self) -> bool:
-        """Whether images change."""
-
     def apply(self, image: UInt8Array, name: str) -> UInt8Array:
         """The image (h, w, 3), changed; `name` is that of its file."""
 

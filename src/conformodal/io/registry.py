@@ -108,10 +108,10 @@ def recognise(folder: Path) -> str:
 
 
 def _check_folder(folder: Path) -> None:
-    if os.path.isfile(folder):
-        raise DatasetError(as_utf8(f"{folder}: is a file, expected a data set's folder{_MADE.format(folder)}"))
     if not os.path.isdir(folder):
-        raise DatasetError(as_utf8(f"{folder}: no such folder"))
+        is_file = os.path.isfile(folder)
+        what = f"is a file, expected a data set's folder{_MADE.format(folder)}" if is_file else "no such folder"
+        raise DatasetError(as_utf8(f"{folder}: {what}"))
 
 
 def read_recording(
