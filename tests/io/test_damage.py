@@ -5,6 +5,7 @@ Nothing shifts, and nothing outside the folder is read.
 
 import json
 import os
+import re
 import unicodedata
 import warnings
 from collections import Counter
@@ -16,6 +17,7 @@ from PIL import Image
 
 from conformodal.conformal import ConformodalError
 from conformodal.io import DatasetError, DatasetWarning, ImageError, Layout, read_recording
+from conformodal.io.cameras import camera_of
 from tests.io.test_layouts import SIZE, WRITERS, N, picture
 
 # what a test does not match is not its point
@@ -197,6 +199,9 @@ REFUSED = [
     (SEVEN, drop("camera-intrinsics.txt"), "camera-intrinsics"),
     (SEVEN, lambda r: [p.unlink() for p in r.rglob("frame-0*")], "frame-NNNNNN"),
     (SEVEN, add("camera-distortion.txt", "-0.28 0.07\n"), r"camera-distortion\.txt"),
+    *[(x, put("camera-intrinsics.txt", "-40 40 32 24"), r"camera-intrinsics\.txt") for x in (SEVEN, RGBD, TUM)],
+    (EUROC, sub("sensor.yaml", "[40, 40", "[-40, 40"), r"sensor\.yaml: intrinsics"),
+    (NERF, nerf({"camera_angle_x": None, "fl_x": 0.5}), r"transforms\.json"),
     *[(SEVEN, add("frame-rate.txt", x), r"frame-rate\.txt") for x in ("nan", "0", "30 30")],
     (RGBD, put("02.pose", "1 0 0 0 0 0 0\n"), r"02\.pose"),
     (RGBD, blank_line("02.pose"), r"02\.pose, line 4"),
@@ -230,7 +235,7 @@ REFUSED = [
         (COLMAP, put("cameras.txt", f"3 {camera}\n"), r"cameras\.txt, camera 3")
         for camera in (
             "OPENCV_FISHEYE 64 48 40 40 32 24 0.1 0.1 0.1 0.1", "FULL_OPENCV 64 48 40 40 32 24 0.1 0 0 0 0 0.1 0 0",
-            "PINHOLE 64 48 40 40 32 24 1", "OPENCV 64 48 40 40 32 24", "RADIAL 64 48 40",
+            "PINHOLE 64 48 40 40 32 24 1", "PINHOLE 64 48 nan 40 32 24", "OPENCV 64 48 40 40 32 24", "RADIAL 64 48 40",
         )
     ],
     (NERF, lambda r: put("transforms.json", (r / "transforms.json").read_text()[:-20])(r), r"transforms\.json"),
@@ -274,35 +279,6 @@ def test_images_without_a_camera_are_told_what_they_lack(tmp_path):
 # ---- cameras
 
 
-def write_camera(layout, root, pixels, lens=(), size=SIZE):
-    """Write a camera into a data set of a layout; returns the name of its file."""
-    fx, fy, cx, cy = pixels
-    from_corner = (fx, fy, cx + 0.5, cy + 0.5)
-    if layout is KITTI:
-        path = next(root.rglob("calib.txt"))
-        path.write_text(f"P0: {fx} 0 {cx} 0 0 {fy} {cy} 0 0 0 1 0\n")
-    elif layout is EUROC:
-        path = next(root.rglob("sensor.yaml"))
-        keep = [x for x in path.read_text().splitlines() if not x.startswith(("intri", "distortion_coeff", "resol"))]
-        keep += [f"resolution: {list(size)}", f"intrinsics: {list(map(float, pixels))}"]
-        keep.append(f"distortion_coefficients: {list(map(float, lens or (0, 0, 0, 0)))}")
-        path.write_text("\n".join(keep).replace("nan", ".nan").replace("inf]", ".inf]").replace("inf,", ".inf,"))
-    elif layout is COLMAP:
-        path = next(root.rglob("cameras.txt"))
-        path.write_text(f"3 OPENCV {size[0]} {size[1]} {' '.join(map(str, (*from_corner, *(lens or (0, 0, 0, 0)))))}\n")
-    elif layout is NERF:
-        path = root / "transforms.json"
-        names = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2")
-        values = dict(zip(names, (*from_corner, *size, *(lens or (0, 0, 0, 0))), strict=True))
-        nerf({"camera_angle_x": None, **values})(root)
-    else:
-        path = max(root.rglob("camera-intrinsics.txt"))
-        path.write_text(f"{fx} 0 {cx}\n0 {fy} {cy}\n0 0 1\n")
-        if lens:
-            path.with_name("camera-distortion.txt").write_text(" ".join(map(str, lens)))
-    return path.name
-
-
 # what: (fx, fy, cx, cy, lens), in images of 64x48
 NOT_CAMERAS = {
     "fx is NaN": (NAN, 40, 32, 24, ()),
@@ -321,30 +297,22 @@ UNLIKELY = {
 }
 
 
-@pytest.mark.parametrize("layout", WRITERS)
-def test_what_is_not_a_camera_is_refused_by_file_and_what_is_unlikely_is_told(tmp_path, layout):
-    folder = WRITERS[layout](tmp_path)
-    for *pixels, lens in NOT_CAMERAS.values():
-        if layout is KITTI and lens:
-            continue
-        name = write_camera(layout, tmp_path, pixels, lens)
-        with pytest.raises(DatasetError, match=name) as caught:
-            read_recording(folder, layout)
-        assert "\n" not in str(caught.value)
-    for beside in tmp_path.rglob("camera-distortion.txt"):
-        beside.unlink()
-    for (*pixels, lens), match in UNLIKELY.values():
-        if layout is KITTI and lens:
-            continue
-        name = write_camera(layout, tmp_path, pixels, lens)
-        with pytest.warns(DatasetWarning, match=match):
-            recording = read_recording(folder, layout)
-        assert (recording.camera.fx, recording.camera.cy) == (pixels[0], pixels[3])
-        assert any(name in where for _, where in recording.notes)
-    write_camera(layout, tmp_path, (41.0, 40.0, 33.0, 23.0), () if layout is KITTI else (-0.1, 0.02, 0.001, 0.002))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DatasetWarning)
-        assert read_recording(folder, layout).notes == ()
+@pytest.mark.parametrize("what", NOT_CAMERAS)
+def test_what_is_not_a_camera_is_refused_by_its_file(what):
+    *pixels, lens = NOT_CAMERAS[what]
+    with pytest.raises(DatasetError, match=r"^a file: "):
+        camera_of("a file", pixels, SIZE, lens, notes=[])
+
+
+@pytest.mark.parametrize("what", UNLIKELY)
+def test_an_unlikely_camera_is_told_and_read_and_a_usual_one_is_not(what):
+    (*pixels, lens), match = UNLIKELY[what]
+    notes = []
+    camera = camera_of("a file", pixels, SIZE, lens, notes=notes)
+    assert (camera.fx, camera.cy) == (pixels[0], pixels[3])
+    assert any(re.search(f"a file: .*{match}", where) for _, where in notes)
+    camera_of("a file", (41.0, 40.0, 33.0, 23.0), SIZE, (-0.1, 0.02, 0.001, 0.002), notes=(usual := []))
+    assert usual == []
 
 
 # ---- what does no harm
