@@ -7,7 +7,6 @@ from conformodal.conformal import ConformodalError
 from conformodal.geometry import Trajectory, align
 from conformodal.io import Split, SplitKind, make_split, read_recording
 from conformodal.io.streams import open_stream
-from conformodal.io.streams.frames import prefetch
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
 
 ROWS = np.arange(4)
@@ -18,7 +17,6 @@ PARTS = {"seed": 0, "train": ROWS, "calibration": ROWS, "test": ROWS}
 ENTRIES = [
     (lambda v: read_recording("nowhere", v), "format"),
     (lambda v: open_stream("nowhere", v), "format"),
-    (lambda v: next(prefetch(None, pace=v)), "pace"),
     (lambda v: Split(v, **PARTS), "split"),
     (lambda v: make_split(ROWS, v), "split"),
     (lambda v: align(STILL, STILL, v), "alignment"),

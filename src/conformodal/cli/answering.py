@@ -18,7 +18,7 @@ from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted, length, noun_for
 from conformodal.geometry import Trajectory
 from conformodal.io import Recording
-from conformodal.io.streams.frames import Frame, FrameStream, Pace, RecordingStream, SourceError, prefetch
+from conformodal.io.streams.frames import Frame, FrameStream, RecordingStream, SourceError, prefetch
 from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.estimates import Estimate
@@ -100,7 +100,6 @@ def answer_stream(
     report: StageProgress,
     *,
     part: Part = Part.ALL,
-    pace: Pace = Pace.FAST,
     limit: int | None = None,
     sinks: Sequence[FrameSink] = (),
     signals: Sequence[int] = (),
@@ -116,7 +115,7 @@ def answer_stream(
     with ResultsWriter(out, answer=odometry.answer) as writer:
         with StreamRunner(odometry, writer, truth=truth, posed=posed) as runner:
             try:
-                with closing(prefetch(stream, pace=pace)) as frames:
+                with closing(prefetch(stream)) as frames:
                     for number, frame in enumerate(frames, start=1):
                         estimate = runner.push(frame)
                         if estimate is not None:
@@ -136,7 +135,7 @@ def answer_stream(
             raise OdometryError(f"{stream.name}: no frame could be answered: {stopped or first}")
         if runner.truth is not None:
             writer.truth(runner.truth)
-    whole = not (stopped or number == limit or stream.live or pace is Pace.CAMERA or runner.windowed)
+    whole = not (stopped or number == limit or stream.live or runner.windowed)
     seconds, paths = round(time.perf_counter() - started, 2), dict(runner.trajectories)
     return Answers(model, part, runner, writer, paths, pictures.jpegs, stopped, whole, seconds)
 

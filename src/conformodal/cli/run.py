@@ -14,7 +14,7 @@ from conformodal.io import Layout
 from conformodal.io.cameras import describe_change
 from conformodal.io.recording import as_camera
 from conformodal.io.streams.bag import BagStream
-from conformodal.io.streams.frames import FrameStream, Pace, RecordingStream, join_streams
+from conformodal.io.streams.frames import FrameStream, RecordingStream, join_streams
 from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.results import lock_output
@@ -64,9 +64,6 @@ def run(
         ),
     ] = None,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
-    pace: Annotated[
-        Pace, typer.Option(help="fast: as fast as it can; camera: by the timestamps, losing frames that come too soon.")
-    ] = Pace.FAST,
     limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
     view: Annotated[
         bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').", rich_help_panel=_SHOW)
@@ -109,9 +106,7 @@ def run(
             frame_sinks(stream.name, loaded.alpha, view=view, save=save, images=save_images) as sinks,
             progress_bars(out) as report,
         ):
-            answers = answer_stream(
-                loaded, stream, out, report, part=part, pace=pace, limit=limit, sinks=sinks, signals=signals
-            )
+            answers = answer_stream(loaded, stream, out, report, part=part, limit=limit, sinks=sinks, signals=signals)
             metrics = {**metrics_of(answers), "model": model_digest(model)}
             write_answers(answers, metrics, f"conformodal: {stream.name}", describe_outcome(stream.name, metrics))
     report_outcome(stream.name, metrics)

@@ -9,28 +9,24 @@ with require_extra("run", "reading images"):
     import cv2  # noqa: F401
     import PIL  # noqa: F401
 
-from .check import DatasetCheck, Finding, check_recording
+from .check import check_recording
 from .decoding import THUMBNAIL, read_image, thumbnail
 from .disturbance import Disturbance, PixelNoise
 from .errors import DatasetError, DatasetWarning, ImageError, SplitError
 from .frame_table import FrameTable
-from .reading import Note
 from .recording import ImageChange, Recording
 from .registry import Layout, Reader, read_recording, readers, recognise
 from .splits import Split, SplitKind, frames_to_known, held_out_together, make_split, with_random_calibration
 
 __all__ = [
     "THUMBNAIL",
-    "DatasetCheck",
     "DatasetError",
     "DatasetWarning",
     "Disturbance",
-    "Finding",
     "FrameTable",
     "ImageChange",
     "ImageError",
     "Layout",
-    "Note",
     "PixelNoise",
     "Reader",
     "Recording",

@@ -11,7 +11,7 @@ import numpy as np
 from conformodal.core.progress import Progress
 
 from .cameras import OF_LAYOUT, OTHER_CAMERA, SCALED
-from .convention import fit_of_poses
+from .convention import doubt_poses
 from .decoding import TURNED
 from .errors import ImageError
 from .frame_table import CONVERTED, INTERPOLATED, OWN_SCALE
@@ -77,7 +77,7 @@ def check_recording(sequence: Recording, progress: Progress | None = None) -> Da
         if speed.size:
             jumps = (speed > _JUMP * np.median(speed)) & (lengths > _LEAST_JUMP_M)
             add(f"position jumps, more than {_JUMP:g} times as fast as usual, before", (linked[jumps] + 1).tolist())
-    if sequence.poses is not None and (cause := fit_of_poses(sequence).cause):
+    if sequence.poses is not None and (cause := doubt_poses(sequence)):
         findings.append(Finding("poses do not fit the images", 1, cause))
     digests, problems = _decode_all(sequence, progress)
     if problems:

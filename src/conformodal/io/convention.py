@@ -49,16 +49,6 @@ class _Matches:
 
 
 @dataclass(frozen=True)
-class PoseFit:
-    """How well poses fit the images."""
-
-    # of the matched corners within 2 pixels of their epipolar line, with poses and camera as they are read; NaN where
-    # there are too few to tell
-    share: float
-    cause: str  # what is wrong with poses or camera, and what to do; empty where nothing is
-
-
-@dataclass(frozen=True)
 class _Change:
     """A change of poses or camera under which they may fit the images."""
 
@@ -66,15 +56,15 @@ class _Change:
     advice: str
 
 
-def fit_of_poses(recording: Recording) -> PoseFit:
-    """Whether matched corners lie on the epipolar lines of the poses, and what would bring them there.
+def doubt_poses(recording: Recording) -> str:
+    """Why matched corners do not lie on the epipolar lines of the poses, and what to do; nothing where they do.
 
     Poses that are late or early, another focal length, and another convention are tried in this order: the first wins
     that is as good as the best of them. A focal length that is only a little off is told as well.
     """
     matches = _match_pairs(recording) if recording.poses is not None and len(recording.poses) > 1 else None
     if matches is None or recording.poses is None or len(matches) < _LEAST_MATCHES:
-        return PoseFit(float("nan"), "")
+        return ""
     poses, camera = recording.poses.poses_se3, recording.camera
     plane = on_plane(camera, matches.pixels.reshape(-1, 2)).reshape(-1, 2, 2)
 
@@ -89,13 +79,12 @@ def fit_of_poses(recording: Recording) -> PoseFit:
     near = f"{100 * given:.0f} % of the matched corners are within {_NEAR_PX:g} px of their epipolar line"
     if most >= max(_FITS_NOT, given + _BETTER):
         best = next(change for change in changes if change.share > most - _EQUAL)
-        return PoseFit(given, f"{best.advice} (as read, {near}; so, {100 * best.share:.0f} %)")
+        return f"{best.advice} (as read, {near}; so, {100 * best.share:.0f} %)"
     if given >= _FITS_NOT:
-        return PoseFit(given, "")
-    return PoseFit(
-        given,
+        return ""
+    return (
         f"{near}, and no more than {100 * most:.0f} % with poses up to {_LONGEST_SHIFT_S:g} s later or earlier, "
-        "another focal length, or another convention: the poses belong to other images, or are very inexact",
+        "another focal length, or another convention: the poses belong to other images, or are very inexact"
     )
 
 

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from .cameras import uncalibrated_camera, undistort_to
 from .decoding import TURNED, common_size, image_fault, is_turned, refuse_few_bits
 from .errors import DatasetError, DatasetWarning
 from .pose_files import Faults, PoseRows
-from .reading import Note, by_what, read_numbers
+from .reading import BETWEEN_RECORDINGS_S, Note, by_what, read_numbers
 from .recording import Recording
 
 NO_POSE = "no pose"
@@ -52,6 +53,55 @@ class FrameTable:
     source: Path | str = ""
     as_stored: bool = False  # whether poses and cameras are of images as stored, whatever EXIF says
     unit: str = "m"  # of positions: metres, or units of the data's own
+
+    @classmethod
+    def of_recordings(cls, name: str, recordings: list[list[tuple[int, Path]]], rate_hz: float) -> Self:
+        """Numbered images of recordings in one; each recording begins 10 s after the one before."""
+        times: list[float] = []
+        for frames in recordings:
+            start = times[-1] + BETWEEN_RECORDINGS_S if times else 0.0
+            times += [start + i / rate_hz for i, _ in frames]
+        numbers = np.repeat(np.arange(len(recordings)), np.array([len(frames) for frames in recordings], np.int64))
+        images = [path for frames in recordings for _, path in frames]
+        return cls(name, images, np.array(times), None, recording=numbers)
+
+    def add_poses(self, read: Callable[[Path], PoseRows], path: Path) -> None:
+        """Poses interpolated by time, and none for a frame at the time of a damaged row.
+
+        `read` gives the file's rows ``time x y z qw qx qy qz``.
+        """
+        times, _ = in_seconds(self.times)  # of which the recording tells
+        table = read(path)
+        self.notes += [Note(_UNUSABLE, fault) for fault in table.faults.values()]
+        self.notes += [Note(DOUBTFUL, doubt) for doubt in table.doubts]
+        rows = table.rows[np.argsort(table.rows[:, 0], kind="stable")]
+        rows[:, 0], unit = in_seconds(rows[:, 0])
+        if unit:
+            self.notes.append(Note(CONVERTED, f"{path}: its times look like {unit}"))
+        sound = np.isfinite(rows).all(axis=1)
+        truth = Trajectory(rows[sound, 0], rows[sound, 1:4], rows[sound, 4:])
+        twice = np.flatnonzero((np.diff(truth.timestamps_s) == 0) & (np.diff(rows[sound], axis=0) != 0).any(axis=1))
+        if twice.size:
+            raise DatasetError(f"{path}: holds two poses for time {truth.timestamps_s[twice[0]]:.9f} s; remove one")
+        poses, gaps = poses_at(truth, times)
+        if not sound.all():
+            lost = rows[~sound, 0]
+            poses[np.abs(lost[nearest_in_time(lost, times)] - times) < _SAME_S] = np.nan
+        bridged = gaps[np.isfinite(poses).all(axis=1)]
+        if not bridged.size:
+            hint = clock_hint(times, truth.timestamps_s)
+            where = f"within {MAX_GAP_S:g} s around it, by time{hint}; give poses at the images' times"
+            raise DatasetError(f"{path}: no image has a pose, or two {where}")
+        if bridged.max() > 0:
+            count = counted(int((bridged > 0).sum()), "pose")
+            where = f"{path}: {count} between its own; the largest gap bridged is {bridged.max():.3g} s"
+            self.notes.append(Note(INTERPOLATED, where))
+        around = {
+            i: f"those around it are {gap:.3g} s apart" for i, gap in enumerate(gaps.tolist()) if np.isfinite(gap)
+        }
+        why = {i: around.get(i, "it is outside of their times") for i in range(len(times))}
+        self.poses = poses
+        self.why = {i: f"no pose within 1 ms in {path}, and {reason}" for i, reason in why.items()}
 
     def scale_by(self, folder: Path) -> None:
         """Bring positions of another unit to metres by ``metres-per-unit.txt``; without it, they keep their own."""
@@ -168,47 +218,3 @@ def _refuse_outside(images: list[Path], root: Path, source: Path | str) -> None:
             raise DatasetError(
                 f"{source}: names {path}, which lies outside {root}; link its folder into the data set and name that"
             )
-
-
-@dataclass(frozen=True, eq=False)
-class PairedPoses:
-    """Poses (n, 7) of frames, NaN where there is none; and why there is none."""
-
-    rows: FloatArray
-    why: Faults
-
-
-def paired_by_time(read: Callable[[Path], PoseRows], path: Path, times: FloatArray, notes: list[Note]) -> PairedPoses:
-    """Poses of frames at `times`, interpolated by time, and none for a frame at the time of a damaged row.
-
-    `read` gives the file's rows ``time x y z qw qx qy qz``.
-    """
-    times, _ = in_seconds(times)  # of which the table tells
-    table = read(path)
-    notes += [Note(_UNUSABLE, fault) for fault in table.faults.values()]
-    notes += [Note(DOUBTFUL, doubt) for doubt in table.doubts]
-    rows = table.rows[np.argsort(table.rows[:, 0], kind="stable")]
-    rows[:, 0], unit = in_seconds(rows[:, 0])
-    if unit:
-        notes.append(Note(CONVERTED, f"{path}: its times look like {unit}"))
-    sound = np.isfinite(rows).all(axis=1)
-    truth = Trajectory(rows[sound, 0], rows[sound, 1:4], rows[sound, 4:])
-    twice = np.flatnonzero((np.diff(truth.timestamps_s) == 0) & (np.diff(rows[sound], axis=0) != 0).any(axis=1))
-    if twice.size:
-        raise DatasetError(f"{path}: holds two poses for time {truth.timestamps_s[twice[0]]:.9f} s; remove one")
-    poses, gaps = poses_at(truth, times)
-    if not sound.all():
-        lost = rows[~sound, 0]
-        poses[np.abs(lost[nearest_in_time(lost, times)] - times) < _SAME_S] = np.nan
-    bridged = gaps[np.isfinite(poses).all(axis=1)]
-    if not bridged.size:
-        hint = clock_hint(times, truth.timestamps_s)
-        where = f"within {MAX_GAP_S:g} s around it, by time{hint}; give poses at the images' times"
-        raise DatasetError(f"{path}: no image has a pose, or two {where}")
-    if bridged.max() > 0:
-        count = counted(int((bridged > 0).sum()), "pose")
-        where = f"{path}: {count} between its own; the largest gap bridged is {bridged.max():.3g} s"
-        notes.append(Note(INTERPOLATED, where))
-    around = {i: f"those around it are {gap:.3g} s apart" for i, gap in enumerate(gaps.tolist()) if np.isfinite(gap)}
-    why = {i: around.get(i, "it is outside of their times") for i in range(len(times))}
-    return PairedPoses(poses, {i: f"no pose within 1 ms in {path}, and {reason}" for i, reason in why.items()})

@@ -194,24 +194,6 @@ def recording_folders(parent: Path, prefix: str) -> list[Path]:
     return [path for _, path in numbered if path.is_dir()]
 
 
-class NumberedImages(NamedTuple):
-    """Images (n) of numbered frames in several recordings, their times (n,) and recording numbers (n,)."""
-
-    images: list[Path]
-    times: FloatArray
-    recording: IntArray
-
-
-def joined_recordings(recordings: list[list[tuple[int, Path]]], rate_hz: float) -> NumberedImages:
-    """Numbered frames of recordings in one; each recording begins 10 s after the one before."""
-    times: list[float] = []
-    for frames in recordings:
-        start = times[-1] + BETWEEN_RECORDINGS_S if times else 0.0
-        times += [start + i / rate_hz for i, _ in frames]
-    recording = np.repeat(np.arange(len(recordings)), np.array([len(frames) for frames in recordings], dtype=np.int64))
-    return NumberedImages([path for frames in recordings for _, path in frames], np.array(times), recording)
-
-
 def frame_times(folder: Path, n_frames: int) -> FloatArray:
     """Times of frames whose layout has none, (n_frames,) seconds: ``times.txt`` in the folder, or even ones."""
     path = folder / "times.txt"

@@ -9,7 +9,7 @@ import pytest
 
 from conformodal.geometry import PinholeCamera
 from conformodal.io import DatasetError, DatasetWarning, read_recording
-from conformodal.io.streams import Frame, Pace, RecordingStream, SourceError, open_stream, prefetch
+from conformodal.io.streams import Frame, RecordingStream, SourceError, open_stream, prefetch
 from conformodal.io.streams.bag import BagStream
 from conformodal.io.streams.ros_messages import COMPRESSED, RAW, camera_of_info, image_of
 from conformodal.io.streams.video import CameraStream, VideoStream
@@ -464,12 +464,6 @@ def test_a_live_source_loses_the_oldest_frames_of_a_slow_taker():
     assert seen == sorted(seen)
     assert seen[-1] == 39
     assert len(seen) < 25
-
-
-def test_the_cameras_pace_is_kept():
-    started = time.perf_counter()
-    assert len(list(prefetch(Slow(n=11), pace=Pace.CAMERA))) == 11
-    assert 0.45 < time.perf_counter() - started < 2.0
 
 
 def test_a_data_set_streams_the_frames_between_too(redkitchen):

@@ -12,7 +12,7 @@ from conformodal.core.words import counted
 from conformodal.io.cameras import INTRINSICS, camera_beside
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
-from conformodal.io.frame_table import FrameTable, paired_by_time
+from conformodal.io.frame_table import FrameTable
 from conformodal.io.pose_files import tum_table
 from conformodal.io.reading import SUFFIXES, Note, frame_times, image_files, number
 
@@ -51,8 +51,7 @@ def read_image_folder(folder: Path) -> FrameTable:
     if others:
         raise DatasetError(f"{folder}: holds poses in {path.name} and in {others[0].name}; remove one")
     if path.is_file():
-        paired = paired_by_time(tum_table, path, times, notes)
-        table.poses, table.why = paired.rows, paired.why
+        table.add_poses(tum_table, path)
     return table
 
 

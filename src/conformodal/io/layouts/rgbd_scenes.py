@@ -20,7 +20,6 @@ from conformodal.io.pose_files import PoseRows, length_doubt, pose_faults
 from conformodal.io.reading import (
     FRAME_RATE_HZ,
     Note,
-    joined_recordings,
     numbered_frames,
     numbers_in,
     parse_lines,
@@ -39,7 +38,6 @@ def looks_like_scenes(folder: Path) -> bool:
 
 def read_rgbd_scenes(folder: Path) -> FrameTable:
     """Read ``.../imgs/scene_NN``, or the folder that holds ``imgs`` and ``pc``; every scene is a recording."""
-    notes: list[Note] = []
     one = folder.name.startswith(_PREFIX)
     scenes = [folder] if one else recording_folders(folder / "imgs", _PREFIX)
     recordings = [numbered_frames(scene, _IMAGE) for scene in scenes]
@@ -47,17 +45,16 @@ def read_rgbd_scenes(folder: Path) -> FrameTable:
         raise DatasetError(
             f"{folder}: holds no imgs/scene_NN, or one without FFFFF-color.png; expected RGB-D Scenes v2"
         )
-    joined = joined_recordings(recordings, FRAME_RATE_HZ)
-    camera = camera_beside(folder, common_size(joined.images), CAMERA, notes)
     name = folder.name if one else f"{folder.name} ({len(scenes)} scenes)"
-    table = FrameTable(name, joined.images, joined.times, camera, recording=joined.recording, notes=notes)
+    table = FrameTable.of_recordings(name, recordings, FRAME_RATE_HZ)
+    table.camera = camera_beside(folder, common_size(table.images), CAMERA, table.notes)
     files = [scene.parent.parent / "pc" / f"{scene.name.removeprefix(_PREFIX)}.pose" for scene in scenes]
-    poses, table.source = np.full((len(joined.images), 7), np.nan), files[0]
+    poses, table.source = np.full((len(table.images), 7), np.nan), files[0]
     for k, path in enumerate(files):
-        rows = np.flatnonzero(joined.recording == k)
+        rows = np.flatnonzero(table.recording == k)
         table.why |= dict.fromkeys(rows.tolist(), f"{path}: poses are missing")
         if path.is_file():
-            read, lines = _poses(path, notes), [number for number, _ in recordings[k]]
+            read, lines = _poses(path, table.notes), [number for number, _ in recordings[k]]
             if lines[-1] >= len(read.rows):
                 there = f"but there is an image {lines[-1]} (counted from 0)"
                 raise DatasetError(f"{path}: holds {len(read.rows)} poses, {there}")

@@ -23,8 +23,6 @@ from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import FrameTable
 from conformodal.io.pose_files import matrix_faults, table_of
 from conformodal.io.reading import (
-    Note,
-    joined_recordings,
     numbered_frames,
     parse_lines,
     read_frame_rate,
@@ -47,7 +45,6 @@ def looks_like_scene(folder: Path) -> bool:
 
 def read_sevenscenes(folder: Path) -> FrameTable:
     """Read a recording (``seq-01``), or a scene that holds some."""
-    notes: list[Note] = []
     alone = bool(numbered_frames(folder, _IMAGE))
     recordings = [folder] if alone else recording_folders(folder, _PREFIX)
     frames = [numbered_frames(recording, _IMAGE) for recording in recordings]
@@ -55,21 +52,14 @@ def read_sevenscenes(folder: Path) -> FrameTable:
     if empty or not recordings:
         raise DatasetError(f"{(*empty, folder)[0]}: holds no frame-NNNNNN.color.png or .jpg")
     rate_hz = read_frame_rate(_beside("frame-rate.txt", recordings[0], folder))
-    joined = joined_recordings(frames, rate_hz)
+    name = folder.name if alone else f"{folder.name} ({len(recordings)} seq)"
+    table = FrameTable.of_recordings(name, frames, rate_hz)
+    table.source = pose_path(table.images[0])
     intrinsics = _beside(INTRINSICS, recordings[0], folder) or folder / INTRINSICS
-    camera = camera_beside(intrinsics.parent, common_size(joined.images), CAMERA, notes)
-    table = FrameTable(
-        folder.name if alone else f"{folder.name} ({len(recordings)} seq)",
-        joined.images,
-        joined.times,
-        camera,
-        recording=joined.recording,
-        notes=notes,
-        source=pose_path(joined.images[0]),
-    )
+    table.camera = camera_beside(intrinsics.parent, common_size(table.images), CAMERA, table.notes)
     if not alone and any((folder / name).is_file() for name in _LISTS):
-        table.given_test = _listed_for_testing(folder, recordings)[joined.recording]
-    if any(pose_path(image).exists() for image in joined.images):
+        table.given_test = _listed_for_testing(folder, recordings)[table.recording]
+    if any(pose_path(image).exists() for image in table.images):
         table.source = folder
         _add_poses(table)
     return table

@@ -10,7 +10,7 @@ import numpy as np
 from conformodal.geometry import PinholeCamera
 from conformodal.io.cameras import camera_beside
 from conformodal.io.decoding import common_size
-from conformodal.io.frame_table import FrameTable, paired_by_time
+from conformodal.io.frame_table import FrameTable
 from conformodal.io.pose_files import tum_table
 from conformodal.io.reading import Note, file_named, number, parse_lines
 
@@ -42,6 +42,6 @@ def read_tum_rgbd(folder: Path) -> FrameTable:
     camera = camera_beside(folder, common_size(images), CAMERAS[match[1]] if match else None, notes)
     table = FrameTable(folder.name, images, times, camera, notes=notes, root=folder, source=truth)
     if truth.is_file():
-        paired = paired_by_time(tum_table, truth, times, notes)
-        table.poses, table.why, table.source = paired.rows, paired.why, path
+        table.add_poses(tum_table, truth)
+        table.source = path
     return table

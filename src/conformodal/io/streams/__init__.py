@@ -9,10 +9,10 @@ from conformodal.geometry import PinholeCamera
 from conformodal.io.registry import Layout, read_recording
 
 from .bag import is_bag, open_bag
-from .frames import Frame, FrameStream, Pace, RecordingStream, SourceError, prefetch
+from .frames import Frame, FrameStream, RecordingStream, SourceError, prefetch
 from .video import CameraStream, open_video
 
-__all__ = ["Frame", "FrameStream", "Pace", "RecordingStream", "SourceError", "open_stream", "prefetch"]
+__all__ = ["Frame", "FrameStream", "RecordingStream", "SourceError", "open_stream", "prefetch"]
 
 _CAMERA = re.compile(r"camera:([0-9]{1,9})$")
 
