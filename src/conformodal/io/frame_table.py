@@ -23,7 +23,7 @@ from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, in_seconds, near
 from .cameras import uncalibrated_camera, undistort_to
 from .decoding import TURNED, common_size, image_fault, is_turned, refuse_few_bits
 from .errors import DatasetError, DatasetWarning
-from .pose_files import Faults, PoseRows
+from .pose_files import Faults, PoseRows, matrices_of, table_of
 from .reading import BETWEEN_RECORDINGS_S, Note, by_what, read_numbers
 from .recording import Recording
 
@@ -65,10 +65,10 @@ class FrameTable:
         images = [path for frames in recordings for _, path in frames]
         return cls(name, images, np.array(times), None, recording=numbers)
 
-    def add_poses(self, read: Callable[[Path], PoseRows], path: Path) -> None:
+    def add_poses(self, read: Callable[[Path], PoseRows], path: Path, T_body_cam: FloatArray | None = None) -> None:
         """Poses interpolated by time, and none for a frame at the time of a damaged row.
 
-        `read` gives the file's rows ``time x y z qw qx qy qz``.
+        `read` gives the file's rows ``time x y z qw qx qy qz``, of the body that the camera stands on at `T_body_cam`.
         """
         times, _ = in_seconds(self.times)  # of which the recording tells
         table = read(path)
@@ -96,12 +96,10 @@ class FrameTable:
             count = counted(int((bridged > 0).sum()), "pose")
             where = f"{path}: {count} between its own; the largest gap bridged is {bridged.max():.3g} s"
             self.notes.append(Note(INTERPOLATED, where))
-        around = {
-            i: f"those around it are {gap:.3g} s apart" for i, gap in enumerate(gaps.tolist()) if np.isfinite(gap)
-        }
-        why = {i: around.get(i, "it is outside of their times") for i in range(len(times))}
-        self.poses = poses
-        self.why = {i: f"no pose within 1 ms in {path}, and {reason}" for i, reason in why.items()}
+        self.poses = poses if T_body_cam is None else table_of(matrices_of(poses) @ T_body_cam)
+        for i, gap in enumerate(gaps.tolist()):
+            around = f"those around it are {gap:.3g} s apart" if np.isfinite(gap) else "it is outside of their times"
+            self.why[i] = f"no pose within 1 ms in {path}, and {around}"
 
     def scale_by(self, folder: Path) -> None:
         """Bring positions of another unit to metres by ``metres-per-unit.txt``; without it, they keep their own."""

@@ -17,7 +17,7 @@ from conformodal.io.cameras import UNDISTORT, Size, camera_of
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import FrameTable
-from conformodal.io.pose_files import euroc_table, matrices_of, matrix_faults, table_of
+from conformodal.io.pose_files import euroc_table, matrix_faults
 from conformodal.io.reading import MALFORMED, Note, file_named, number, parse_lines, read_lines, whole_number
 
 _MOST_BYTES = 16_000  # a calibration has a tenth of that
@@ -49,8 +49,8 @@ def read_euroc_mav(folder: Path) -> FrameTable:
     camera, T_body_cam = _calibration(root / "cam0" / "sensor.yaml", common_size(images), notes)
     table = FrameTable(folder.name, images, times, camera, notes=notes, root=root, source=truth)
     if truth.is_file():
-        table.add_poses(euroc_table, truth)
-        table.poses, table.source = table_of(matrices_of(table.poses) @ T_body_cam), path
+        table.add_poses(euroc_table, truth, T_body_cam)
+        table.source = path
     return table
 
 
