@@ -21,13 +21,13 @@ from conformodal.io import PixelNoise, Recording
 from conformodal.localizer.candidates import Candidates, Probabilities, fuse, interval_runs, pose_targets
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import hindsight_posteriors
-from conformodal.localizer.greedy import Greedy
 from conformodal.localizer.observations import PosePath
 from conformodal.pipeline.config import Method
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.estimator import odometry_of
 from conformodal.pipeline.evaluate import error_table
 from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.paper import Greedy
 from conformodal.pipeline.plain import PlainRegressor, train_plain, trajectory_of
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import ResultsWriter, record_of, write_metrics

@@ -20,9 +20,8 @@ from conformodal.localizer.regions import PlaceNovelty, RegionRules
 from conformodal.localizer.sources.head import HeadSource
 from conformodal.localizer.sources.landmarks import LandmarkMap, LandmarkSource
 from conformodal.localizer.sources.neighbours import LocalRegression, LocalSettings, NeighbourSource
-from conformodal.pipeline.expected_input import ExpectedInput
 from conformodal.pipeline.identity import FrameIdentities
-from conformodal.pipeline.model import PATHS, PoseModel, SourceComparison, path_rule
+from conformodal.pipeline.model import PATHS, ExpectedInput, PoseModel, SourceComparison, path_rule
 
 CAMERA = PinholeCamera(150.0, 150.0, 79.5, 59.5, 160, 120, (0.01, -0.01, 0.0, 0.0))
 _FRAMES = np.arange(12)

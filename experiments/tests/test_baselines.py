@@ -52,17 +52,16 @@ def trained():
     return data, tuned, RegressionTask(data, tuned)
 
 
-@pytest.mark.parametrize("whole", [False, True])
-def test_projections_are_of_the_rows_asked_for_and_fitted_once(whole):
+def test_projections_are_of_the_rows_asked_for_and_fitted_once():
     data = make_data(n=200)
-    views = feature_views(data.features.shape[1])
+    view = feature_views(data.features.shape[1]).network
     for rows in (data.split.train, data.split.calibration):
-        found = data.projection(rows, 4, whole=whole)
-        true = fit_projection(data.features[rows], 4, views.both if whole else views.network)
+        found = data.projection(rows, 4)
+        true = fit_projection(data.features[rows], 4, view)
         np.testing.assert_array_equal(found.components, true.components)
         np.testing.assert_array_equal(found.offset, true.offset)
-        assert data.projection(rows.copy(), 4, whole=whole) is found
-        assert data.projection(rows, 3, whole=whole) is not found
+        assert data.projection(rows.copy(), 4) is found
+        assert data.projection(rows, 3) is not found
     other = replace(data, features=2 * data.features)
     assert not np.array_equal(other.projection(rows, 4).offset, data.projection(rows, 4).offset)
 

@@ -139,7 +139,7 @@ def test_run_counts_which_frames_show_no_known_place(small_world, tmp_path):
 def test_a_split_in_blocks_has_no_coverage_guarantee(small_world, tmp_path):
     arguments = ["train", small_world.folder, "--out", tmp_path / "m", "--split", "blocks", "--epochs", "2"]
     arguments += ["--sources", "head"]  # a map a fold takes minutes
-    trained = run_ok(*arguments, "--joint", "bonferroni", "--cache", small_world.cache)
+    trained = run_ok(*arguments, "--cache", small_world.cache)
     model = load_model(tmp_path / "m")
     assert 9 <= model.calibration.n_units < 69
     assert describe_guarantee(model) in " ".join(trained.output.split())

@@ -8,7 +8,7 @@ from scipy.stats import norm
 from conformodal.conformal import QuantileBins
 from conformodal.features.extract import FeatureCache
 from conformodal.localizer.filter import LAG
-from conformodal.localizer.regions import EvidenceType, Support
+from conformodal.localizer.regions import Support
 from conformodal.localizer.sources import registry
 from conformodal.localizer.sources.registry import SourceAnswer, register_source
 from conformodal.pipeline import calibrate as calibrating
@@ -46,51 +46,6 @@ def test_a_source_is_not_calibrated_on_frames_that_it_has_seen(sequence, small_w
 
 def hypothesis_at(targets, cells):
     return Support(None, cells.encode(np.clip(targets, -3.9, 3.9)[None]), np.zeros(1))
-
-
-class Recognises:
-    """Beliefs that are the same for all images; in some, a place is recognised."""
-
-    sources = ()
-    local = True
-    cells = QuantileBins.from_edges([np.linspace(-4, 4, 41)] * 7)
-
-    def __init__(self, recognised):
-        self.recognised = recognised
-
-    def beliefs(self, evidence):
-        recognised = self.recognised[: len(evidence)]
-        return SimpleNamespace(recognised=recognised, recognition=50.0 * recognised)
-
-    def supports(self, beliefs):
-        return [hypothesis_at(np.zeros(7), self.cells)] * len(beliefs.recognised)
-
-    def marginals_by_part(self, beliefs):
-        n = len(beliefs.recognised)
-        yield slice(0, n), [np.full((n, 40), 1 / 40)] * 7
-
-
-@pytest.mark.parametrize(
-    ("n_frames", "n_recognised", "joint"),
-    [(100, 60, "max"), (100, 100, "bonferroni"), (140, 70, "bonferroni"), (140, 68, "max"), (100, 5, "bonferroni")],
-)
-def test_one_threshold_per_target_needs_enough_frames_of_each_evidence_type(n_frames, n_recognised, joint):
-    """At alpha / 7 a type needs 69 frames; with 60 of 100 recognised, one threshold for all targets is finite."""
-    rng = np.random.default_rng(0)
-    data = SimpleNamespace(
-        features=np.zeros((n_frames + 20, 2), dtype=np.float32),
-        targets=rng.uniform(-1, 1, (n_frames + 20, 7)),
-        local_features=lambda frames: [None] * len(frames),
-        bins_of=lambda frames: Recognises.cells,
-    )
-    order = np.arange(n_frames + 20)
-    folds = Folds([Fold(order[:20], order[20:])], order[:20], None, order)
-    config = ModelConfig(joint="bonferroni", score="lac")
-    rules = calibrate_regions(data, folds, [Recognises(np.arange(n_frames) < n_recognised)], None, config).rules
-    assert rules.overall.joint == joint
-    enough = np.array([n_frames - n_recognised, n_recognised]) >= 9
-    kinds = np.array([EvidenceType.UNMATCHED, EvidenceType.LANDMARKS])
-    assert np.isfinite(rules.thresholds(kinds)).all(axis=1).tolist() == enough.tolist()
 
 
 class Claims:

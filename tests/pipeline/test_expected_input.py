@@ -6,7 +6,8 @@ import pytest
 
 from conformodal.io import read_recording
 from conformodal.pipeline.config import OdometryError
-from conformodal.pipeline.expected_input import ExpectedInput, InputWatch
+from conformodal.pipeline.estimator import InputWatch
+from conformodal.pipeline.model import ExpectedInput
 
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.io.DatasetWarning")
 FR1_STEP_S = 1 / 15

@@ -8,9 +8,9 @@ import pytest
 from conformodal.conformal import SplitConformal
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
-from conformodal.localizer.sources.head import HeadSource
 from conformodal.pipeline.config import Calibration, Method, ModelConfig, OdometryError
-from conformodal.pipeline.estimator import PaperOdometry, VisualOdometry, odometry_of
+from conformodal.pipeline.estimator import VisualOdometry, odometry_of
+from conformodal.pipeline.paper import PaperOdometry
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 
@@ -43,7 +43,7 @@ def test_its_calibration_frames_are_drawn_from_all_training_recordings(sequence,
 
 
 def head_of(model):
-    return model.localizer.find(HeadSource).head
+    return model.localizer.sources[0].head
 
 
 def proba_of(model, features):

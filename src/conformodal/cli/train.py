@@ -68,9 +68,6 @@ def train(
             "whole, which implies --split given.",
         ),
     ] = str(ModelConfig.test),
-    calibration: Annotated[
-        float, _data("--calibration-share", help="Share of all frames (or recordings) held out to calibrate.")
-    ] = ModelConfig.calibration,
     focal: Focal = None,
     trust_poses: Annotated[
         bool, _data("--trust-poses", help="Train although the poses do not fit the images (see data check).")
@@ -80,9 +77,6 @@ def train(
     ),
     network: Annotated[str, _model(help=f"Network of the features: {', '.join(NETWORKS)}.")] = ModelConfig.network,
     n_bins: Annotated[int, _model("--bins", min=1, help="Bins per target (K).")] = ModelConfig.n_bins,
-    sigma_bins: Annotated[
-        float, _model("--sigma", min=0, help="Width of the labels in bins; 0: one-hot, as in the paper.")
-    ] = (ModelConfig.sigma_bins),
     epochs: Annotated[int, _model(min=1, help="Passes over the training part.")] = TrainingConfig.epochs,
     dropout: Annotated[float, _model(min=0, max=0.95, help="Share of features dropped in training.")] = (
         TrainingConfig.dropout
@@ -91,11 +85,7 @@ def train(
         ModelConfig.alpha
     ),
     joint: Annotated[
-        str,
-        _calibration(
-            help="What alpha is for. max: the whole pose, with one threshold; bonferroni: the whole pose, alpha / 7 "
-            "for each target; none: each target alone, as in the paper."
-        ),
+        str, _calibration(help="What alpha is for. max: the whole pose; none: each target alone, as in the paper.")
     ] = ModelConfig.joint,
     score: Annotated[
         str, _calibration(help="Nonconformity score: hpd, hpd_random, aps, density, lac (the paper's).")
@@ -109,15 +99,6 @@ def train(
             "for --split interleaved, else stretches.",
         ),
     ] = ModelConfig.calibrate_on,
-    novelty_level: Annotated[
-        float | None,
-        _calibration(
-            min=0,
-            max=1,
-            help="An image whose p-value of showing a known place is at most this gets an unbounded region; "
-            "0.015 by default where frames calibrate, 0.1 where stretches do.",
-        ),
-    ] = ModelConfig.novelty_level,
 ) -> None:
     """Train on a data set with poses, calibrate, and save the model."""
     share, held_out = ModelConfig.test, None

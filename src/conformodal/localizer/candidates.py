@@ -105,8 +105,8 @@ def mode_candidates(proba: Probabilities, bins: QuantileBins) -> list[Candidates
 def interval_candidates(proba: Probabilities, regions: Regions) -> list[Candidates]:
     """Candidates of every frame: the most probable cuboids of its region, each at the means of its intervals.
 
-    Where a target's set is empty, its most probable bin stands in. :class:`~conformodal.localizer.greedy.Greedy`
-    chooses among all cuboids, as the paper does.
+    Where a target's set is empty, its most probable bin stands in. The paper's reasoning chooses
+    among all cuboids.
     """
     return [_combine(targets, -np.inf) for targets in interval_runs(proba, regions)]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self, TypeVar
+from typing import Self
 
 import numpy as np
 
@@ -24,8 +24,6 @@ from .evidence import FrameEvidence, PoseMeasurement
 from .observations import Posterior
 from .regions import Support
 from .sources.registry import PoseSource, SourceAnswer, SourceData, find_source
-
-Source = TypeVar("Source", bound=PoseSource)
 
 _IMAGES_AT_A_TIME = 256  # seven times some sixteen hundred cells each
 _CELLS = 800  # per target, at least: estimates are more precise than bins
@@ -161,10 +159,6 @@ class Localizer:
     def cells(self) -> QuantileBins:
         """Cells of the beliefs' marginals."""
         return belief_cells(self.bins)
-
-    def find(self, kind: type[Source]) -> Source | None:
-        """The source of a class, or None."""
-        return next((source for source in self.sources if isinstance(source, kind)), None)
 
     def beliefs(self, evidence: FrameEvidence) -> Beliefs:
         """Beliefs about the poses of n images."""

@@ -182,12 +182,6 @@ class Place:
     # (7, 2) lower and upper ends of the targets' intervals, of a place of a calibrated region; None of others
     box: FloatArray | None = None
 
-    @property
-    def covariance(self) -> FloatArray:
-        """(6, 6) covariance of position in metres and small rotation in radians, world axes."""
-        variances = np.concatenate((self.position_spreads**2, np.full(3, self.orientation_spread_rad**2)))
-        return np.asarray(np.diag(variances))
-
 
 def find_places(posterior: Posterior, prior: MotionPrior) -> list[Place]:
     """The places of a posterior, most probable first; their probabilities and that of elsewhere sum to one.

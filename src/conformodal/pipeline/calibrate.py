@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import cast
 
 import numpy as np
+import numpy.typing as npt
 
-from conformodal.conformal import QuantileBins, SplitConformal
-from conformodal.conformal.calibrators.base import Joint
-from conformodal.conformal.checks import as_alpha
+from conformodal.conformal import SplitConformal
 from conformodal.conformal.scores import is_per_unit
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, Rows, evenly_spread, rows_by_label
 from conformodal.core.parallel import in_threads, raise_if_cancelled
@@ -63,10 +61,7 @@ def calibrate_regions(
     novelty: PlaceNovelty | None,
     config: ModelConfig,
 ) -> CalibratedRegions:
-    """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone.
-
-    ``bonferroni`` becomes ``max`` where only one threshold for the whole pose would be finite.
-    """
+    """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone."""
     pairs = list(zip(folds.folds, localizers, strict=True))
     for fold, localizer in pairs:
         _check_unseen(localizer, fold.held_out)
@@ -82,27 +77,18 @@ def calibrate_regions(
     level = 0.0 if novelty is None else novelty.level(config.novelty_level)
     recognised = np.concatenate([one.recognised for one in beliefs]) if local else None
     units = None if folds.units is None else folds.units[folds.held_out]
-    cells = belief_cells(data.bins_of(folds.region_frames))
-
-    def rule_of(bins: QuantileBins, joint: Joint) -> SplitConformal:
-        rule = SplitConformal(bins, config.alpha, config.score, joint)
-        if not is_per_unit(rule.score_) or joint != "max":
-            return rule.set_scale()
+    rule = SplitConformal(belief_cells(data.bins_of(folds.region_frames)), config.alpha, config.score, config.joint)
+    scale: npt.ArrayLike = 1.0
+    if is_per_unit(rule.score_) and rule.joint == "max":
         # by the targets' spread, which does not depend on calibration frames
-        return rule.set_scale(1 / np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9))
-
-    def rules_of(joint: Joint) -> RegionRules:
-        scores = [
-            score_beliefs(rule_of(localizer.cells, joint), localizer, one, data.targets[fold.held_out])
-            for (fold, localizer), one in zip(pairs, beliefs, strict=True)
-        ]
-        overall = rule_of(cells, joint).calibrate_scores(np.concatenate(scores), units)
-        return RegionRules(overall, recognised, known_p, level)
-
-    rules = rules_of(cast(Joint, config.joint))
-    if config.joint == "bonferroni" and _has_type_for_max_only(rules):
-        rules = rules_of("max")
-    return CalibratedRegions(rules, novelty, beliefs)
+        scale = 1 / np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9)
+    rule.set_scale(scale)
+    scores = [
+        score_beliefs(_on_cells(rule, localizer), localizer, one, data.targets[fold.held_out])
+        for (fold, localizer), one in zip(pairs, beliefs, strict=True)
+    ]
+    overall = rule.calibrate_scores(np.concatenate(scores), units)
+    return CalibratedRegions(RegionRules(overall, recognised, known_p, level), novelty, beliefs)
 
 
 def _evidence(data: SourceData, frames: IntArray, *, local: bool) -> FrameEvidence:
@@ -338,17 +324,6 @@ def paper_rules(data: SourceData, held_out: IntArray, localizer: Localizer, conf
     """The paper's calibration (section 2): bins of the softmax, each target at alpha, one evidence type."""
     _check_unseen(localizer, held_out)
     proba = localizer.beliefs(FrameEvidence(data.features[held_out])).proba
-    rule = SplitConformal(localizer.bins, config.alpha, config.score, cast(Joint, config.joint))
+    rule = SplitConformal(localizer.bins, config.alpha, config.score, config.joint)
     rule.calibrate(proba, data.targets[held_out])
     return RegionRules(rule, None, np.ones(len(held_out)), 0.0)
-
-
-def _has_type_for_max_only(rules: RegionRules) -> bool:
-    """Whether an evidence type has the weight for a finite threshold at alpha, but not at each target's share of it.
-
-    The choice depends on the weights of the types, never on scores. Where one more unit would change it, coverage can
-    be below ``1 - alpha``, by at most alpha.
-    """
-    for_max = 1 / as_alpha(rules.overall.alpha) - 1
-    for_each = 1 / rules.overall.alpha_per_target - 1
-    return any(for_max <= rule.weight < for_each for rule in rules.by_type.values())

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from conformodal.conformal import ConformodalError, QuantileBins
-from conformodal.conformal.calibrators.base import Joint
 from conformodal.conformal.checks import as_alpha, as_choice
 from conformodal.conformal.scores import resolve_score
 from conformodal.core.ranges import as_member, check_ranges, check_shares
@@ -52,7 +51,7 @@ class ModelConfig:
     sigma_bins: float = 0.7  # width of the order-aware labels, in bins; 0 for the paper's one-hot labels
     alpha: float = 0.1  # as the next two, of :class:`~conformodal.conformal.SplitConformal`
     score: str = "hpd"
-    joint: str = "max"
+    joint: Literal["none", "max"] = "max"
     test: float = 0.2  # as the next two, shares of all frames or recordings, see :func:`~conformodal.io.make_split`
     calibration: float = 0.16
     used: float | None = None
@@ -72,7 +71,7 @@ class ModelConfig:
         check_ranges(vars(self), OdometryError)
         check_shares(self.test, self.calibration, self.used, OdometryError)
         object.__setattr__(self, "alpha", float(as_alpha(self.alpha)))
-        as_choice(self.joint, Joint, "joint")
+        as_choice(self.joint, Literal["none", "max"], "joint")
         resolve_score(self.score)
         QuantileBins(self.n_bins, self.margin).check_parameters()
         check_network(self.network)

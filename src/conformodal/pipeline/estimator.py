@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from abc import ABC, abstractmethod
 from collections import deque
 from contextlib import closing
@@ -14,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import Float32Array, IntArray, UInt8Array
+from conformodal.core.arrays import FloatArray, IntArray, UInt8Array
 from conformodal.core.parallel import one_blas_thread, raise_if_cancelled
 from conformodal.core.progress import StageProgress
 from conformodal.features.local import extract_local_features
@@ -22,24 +23,75 @@ from conformodal.geometry import PinholeCamera, RelativeMotion, Trajectory
 from conformodal.io import Recording
 from conformodal.io.decoding import grey_image
 from conformodal.io.streams.frames import RecordingStream, prefetch
-from conformodal.localizer.candidates import interval_candidates, interval_runs, pose_targets
+from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import LAG, PoseFilter, Window
-from conformodal.localizer.greedy import Greedy
 from conformodal.localizer.observations import MotionPrior, Posterior, choose_places, find_places
-from conformodal.localizer.regions import EvidenceType, PoseRegions, Support, pose_regions
-from conformodal.tracking.tracker import EssentialFrontEnd, FrontEnd, MotionFrontEnd, affine_flow
+from conformodal.localizer.regions import EvidenceType, PoseRegions
+from conformodal.tracking.tracker import FrontEnd, MotionFrontEnd, affine_flow
 
 from .config import Method, OdometryError
 from .estimates import Estimate, OdometryRun
-from .expected_input import InputWatch
-from .model import HINDSIGHT, LAGGED, METHODS, ONLINE, PAPERS_METHOD, RELIABLE, Localization, PoseModel
+from .model import (
+    HINDSIGHT,
+    LAGGED,
+    METHODS,
+    ONLINE,
+    RELIABLE,
+    ExpectedInput,
+    Localization,
+    PoseModel,
+    colours_of,
+)
 from .store import load_model
 from .stream import StreamRunner, as_trajectory
 
+_FIRST = 10  # frames of a stream whose times and colours are looked at
+_MUCH_LONGER = 300.0  # times as long a step is in another unit than seconds
+_SWAPPED = 0.2  # by how much the colours fit better with red and blue swapped
+
+
+class InputWatch:
+    """Looks at the first frames of a stream, whether its times are in seconds and its images RGB."""
+
+    def __init__(self, expected: ExpectedInput) -> None:
+        self._expected = expected
+        self._steps: list[float] = []
+        self._colours: list[FloatArray] = []
+
+    def check_step(self, step_s: float) -> None:
+        """Refuse, once the first steps are there, times that are in another unit."""
+        if len(self._steps) >= _FIRST:
+            return
+        self._steps.append(step_s)
+        usual = float(np.median(self._steps))
+        if len(self._steps) == _FIRST and usual > _MUCH_LONGER * self._expected.step_s:
+            self._steps.pop()  # so that the next step is looked at as well
+            raise OdometryError(
+                f"timestamps must be in seconds: the first {_FIRST} steps are usually {usual:.3g} long, those of the "
+                f"training data {self._expected.step_s:.3g} s; are they in milliseconds or nanoseconds?"
+            )
+
+    def check_colours(self, image: UInt8Array) -> None:
+        """Warn, once, of images (h, w, 3) whose red and blue are swapped."""
+        if len(self._colours) >= _FIRST:
+            return
+        self._colours.append(colours_of(image))
+        if len(self._colours) < _FIRST:
+            return
+        mean, expected = np.mean(self._colours, axis=0), self._expected.colours
+        as_given, swapped = (float(np.minimum(colours, expected).sum()) for colours in (mean, mean[::-1]))
+        if swapped > as_given + _SWAPPED:
+            warnings.warn(
+                f"images seem to be BGR: their colours agree with those of the training data to "
+                f"{100 * as_given:.0f} %, with red and blue swapped to {100 * swapped:.0f} %; pass RGB",
+                UserWarning,
+                stacklevel=5,
+            )
+
 
 class Odometry(ABC):
-    """A trained model on a stream or on a recording: :class:`VisualOdometry`, or the paper's :class:`PaperOdometry`."""
+    """A trained model on a stream or on a recording: :class:`VisualOdometry`, or the paper's."""
 
     model: PoseModel
     answer: str  # the method whose trajectory is the answer
@@ -57,8 +109,8 @@ class Odometry(ABC):
         """Take the next frame of a stream, (height, width, 3) RGB, or None where the camera gave none.
 
         The pose is the best given all frames so far, and `revised` those before it, better known by now;
-        :meth:`run` also uses the frames after. A frame that cannot be used does not end the stream: the estimate says
-        so.
+        :meth:`process` also uses the frames after. A frame that cannot be used does not end the stream: the estimate
+        says so.
 
         Raises
         ------
@@ -98,10 +150,6 @@ class Odometry(ABC):
             self._usable_s = timestamp_s
         self._last_s = timestamp_s
 
-    def run(self, sequence: Recording) -> Trajectory:
-        """The trajectory of a whole recording; :meth:`process` gives all the rest."""
-        return self.process(sequence).trajectory
-
     def process(
         self, sequence: Recording, frames: npt.ArrayLike | None = None, *, progress: StageProgress | None = None
     ) -> OdometryRun:
@@ -119,7 +167,7 @@ class Odometry(ABC):
         wanted = np.arange(len(sequence)) if frames is None else _as_frames(frames, len(sequence))
         stream, unreadable = RecordingStream(sequence, wanted), dict[int, str]()
         answers: dict[int, Estimate] = {}
-        with StreamRunner(self._fresh(), keep_regions=True) as runner, closing(prefetch(stream)) as coming:
+        with StreamRunner(odometry_of(self.model), keep_regions=True) as runner, closing(prefetch(stream)) as coming:
             for done, frame in enumerate(coming, start=1):
                 raise_if_cancelled()
                 estimate = runner.push(frame)
@@ -146,16 +194,12 @@ class Odometry(ABC):
             path_regions={path: PoseRegions.concatenate(parts) for path, parts in regions.items() if parts},
         )
 
-    @abstractmethod
-    def _fresh(self) -> Odometry:
-        """Another one of the same model, whose stream has not begun."""
-
 
 class VisualOdometry(Odometry):
-    """Poses of one camera, frame by frame (:meth:`step`) or for a whole recording (:meth:`run`).
+    """Poses of one camera, frame by frame (:meth:`step`) or for a whole recording (:meth:`process`).
 
     ``examples/stream.py`` answers a camera or a video frame by frame, ``examples/images.py`` a whole data set. `lag`
-    counts the frames of a stream that :attr:`Estimate.revised` and :meth:`lagged` go back; :meth:`run` uses all.
+    counts the frames of a stream that :attr:`Estimate.revised` and :meth:`lagged` go back; :meth:`process` uses all.
     """
 
     answer = METHODS[0]
@@ -182,9 +226,6 @@ class VisualOdometry(Odometry):
         self._filter.reset()
         self._recent.clear()
         self._last_s = self._usable_s = None
-
-    def _fresh(self) -> VisualOdometry:
-        return VisualOdometry(self.model, lag=0)
 
     def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
         grey = grey_image(image)  # once for tracker and local features
@@ -274,64 +315,10 @@ def _revised(window: Window, prior: MotionPrior) -> Trajectory:
     return as_trajectory(choose_places(window.hindsight(prior), window.seen.timestamps_s, prior))
 
 
-class PaperOdometry(Odometry):
-    """The paper's system, as it stands: a network with softmaxes, their calibration, and greedy reasoning.
-
-    Its model was trained with :meth:`ModelConfig.paper`; its estimates have the form of those of
-    :class:`VisualOdometry`.
-    """
-
-    answer = PAPERS_METHOD
-    whole_paths = False  # what a stream is told is final
-
-    def __init__(self, model: PoseModel) -> None:
-        if model.method is not Method.PAPER:
-            raise OdometryError("the model was not trained with the paper's method; VisualOdometry runs it")
-        self.model = model
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the stream so far."""
-        self._front_end = EssentialFrontEnd(self.model.camera)
-        self._watch = InputWatch(self.model.expected_input)
-        self._path = Greedy()
-        self._last_s = self._usable_s = None
-
-    def _fresh(self) -> PaperOdometry:
-        return PaperOdometry(self.model)
-
-    def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
-        localization = self._localize(self.model.backbone.features_of(image))
-        proba, region = localization.beliefs.proba, localization.regions
-        motion = self._front_end.measure(image)
-        path = self._path.push(interval_runs(proba, region)[0], motion, timestamp_s)
-        reliable = motion is None or motion.reliable
-        return Estimate(
-            timestamp_s=timestamp_s,
-            pose=as_trajectory(path),
-            region=region,
-            candidates=interval_candidates(proba, region)[0],
-            relative_motion=motion,
-            reliable=reliable,
-            problem="" if reliable or motion is None else str(motion.status),
-            localization=localization,
-            tracks=self._front_end.tracks,
-            corners=self._front_end.corners,
-            evidence=EvidenceType.GLOBAL,
-            position_spread_m=float(np.linalg.norm(path.position_spreads[0])),
-            orientation_spread_rad=float(path.orientation_spreads_rad[0]),
-        )
-
-    def _localize(self, features: Float32Array) -> Localization:
-        """The region of an image as the paper has it: sets of bins, whatever the image."""
-        beliefs, rule = self.model.localizer.beliefs(FrameEvidence(features)), self.model.calibration
-        supports = [Support.of(m.candidates, rule.bins, self.model.sign_reference) for m in beliefs.mixtures]
-        regions = pose_regions(rule, beliefs.proba, supports, rule.thresholds_)
-        return Localization(beliefs, regions, np.array([np.nan]), np.array([EvidenceType.GLOBAL], dtype=np.int64))
-
-
 def odometry_of(model: PoseModel) -> Odometry:
     """The system that runs a model, by the model's method."""
+    from .paper import PaperOdometry  # noqa: PLC0415 - not wanted by most
+
     return PaperOdometry(model) if model.method is Method.PAPER else VisualOdometry(model)
 
 
@@ -371,7 +358,6 @@ def _as_frames(frames: npt.ArrayLike, n: int) -> IntArray:
     """Increasing indices (m,) of some of n frames."""
     wanted = np.asarray(frames)
     whole = wanted.ndim == 1 and (not wanted.size or wanted.dtype.kind in "iu")
-    if not whole or (wanted.size and (wanted[0] < 0 or wanted[-1] >= n or (np.diff(wanted) <= 0).any())):
-        few = np.array2string(wanted, threshold=8, edgeitems=3, separator=", ")
-        raise OdometryError(f"frames must be increasing whole numbers within 0 and {n - 1}, got {few}")
+    if not whole or not np.isin(wanted, np.arange(n)).all() or (np.diff(wanted) <= 0).any():
+        raise OdometryError(f"frames must be increasing whole numbers within 0 and {n - 1}, got {frames!r}")
     return wanted.astype(np.int64)

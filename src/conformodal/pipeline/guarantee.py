@@ -77,7 +77,7 @@ def guarantees(model: PoseModel) -> list[EvidenceGuarantee]:
     """The guarantees of a model, one for each evidence type that has regions of its own."""
     listed = []
     for evidence, rule in model.rules.by_type.items():
-        exact = model.frames_are_exchangeable and rule.units_ is None and rule.joint != "bonferroni"
+        exact = model.frames_are_exchangeable and rule.units_ is None
         listed.append(
             EvidenceGuarantee(
                 evidence=evidence,

@@ -7,17 +7,18 @@ from dataclasses import dataclass, field, replace
 from math import sqrt
 from typing import Any, Self
 
+import cv2
 import numpy as np
 
 from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.checks import Alpha
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, UInt8Array, evenly_spread
 from conformodal.core.ranges import check_ranges
 from conformodal.core.words import counted
 from conformodal.features.backbone import Backbone
 from conformodal.features.local import QualityRange
 from conformodal.geometry import PinholeCamera
-from conformodal.io import Split, SplitKind
+from conformodal.io import Recording, Split, SplitKind
 from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.localizer import Beliefs, Localizer
@@ -34,7 +35,6 @@ from conformodal.localizer.regions import (
 from conformodal.localizer.sources.landmarks import LandmarkSource
 
 from .config import Method, OdometryError
-from .expected_input import ExpectedInput
 from .identity import FrameIdentities
 
 # What posteriors rest on: the frames up to each (online), also as many after it as the lag (lagged), or all frames of
@@ -45,6 +45,32 @@ METHODS = "smoothed", HINDSIGHT, ONLINE
 PAPERS_METHOD = "greedy"
 RELIABLE = 0.9  # least probability of the chosen place with which a pose counts as reliable
 _SIGMAS = 2  # standard errors that a comparison of sources allows
+_SAMPLED = 64  # training images whose colours are looked at
+_COLOURS = 21  # bins of red less blue, as a share of their sum with green
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedInput:
+    """The usual step in time of training frames, and the distribution of their colours."""
+
+    step_s: float
+    colours: FloatArray  # (21,) shares of pixels by red less blue, sum 1
+
+    @classmethod
+    def of(cls, recording: Recording) -> Self:
+        """From all times, and some images."""
+        steps = np.diff(recording.timestamps_s)[np.diff(recording.recording) == 0]
+        sampled = evenly_spread(len(recording), _SAMPLED).tolist()
+        colours = np.mean([colours_of(recording.image(i)) for i in sampled], axis=0)
+        return cls(float(np.median(steps)) if steps.size else 1.0, colours)
+
+
+def colours_of(image: UInt8Array) -> FloatArray:
+    """Shares (21,) of an image's pixels by red less blue."""
+    small = cv2.resize(image, (32, 24), interpolation=cv2.INTER_AREA).reshape(-1, 3).astype(np.float64)
+    red_less_blue = (small[:, 0] - small[:, 2]) / np.maximum(small.sum(axis=1), 1.0)
+    counts = np.histogram(red_less_blue, bins=_COLOURS, range=(-0.5, 0.5))[0]
+    return np.asarray(counts / len(small))
 
 
 def path_rule(cells: QuantileBins, alpha: Alpha) -> SplitConformal:
@@ -202,7 +228,7 @@ class PoseModel:
     @property
     def landmarks(self) -> LandmarkSource | None:
         """The source by PnP on landmarks, or None."""
-        return self.localizer.find(LandmarkSource)
+        return next((one for one in self.localizer.sources if isinstance(one, LandmarkSource)), None)
 
     def localize(self, evidence: FrameEvidence) -> Localization:
         """Beliefs and calibrated regions of n images."""

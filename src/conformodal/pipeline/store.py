@@ -41,9 +41,8 @@ from conformodal.localizer.regions import PlaceNovelty, RegionRules
 from conformodal.localizer.sources.registry import SourceState, find_source
 
 from .config import Method
-from .expected_input import ExpectedInput
 from .identity import FrameIdentities
-from .model import PATHS, PoseModel, SourceComparison, path_rule
+from .model import PATHS, ExpectedInput, PoseModel, SourceComparison, path_rule
 
 FORMAT = "conformodal-model-23"
 _JSON = "model.json"

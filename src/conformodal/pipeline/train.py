@@ -31,9 +31,8 @@ from .calibrate import (
     paper_rules,
 )
 from .config import Method, ModelConfig
-from .expected_input import ExpectedInput
 from .identity import identify
-from .model import PoseModel
+from .model import ExpectedInput, PoseModel
 from .training_data import Folds, TrainingData, make_folds
 
 

@@ -70,9 +70,9 @@ class TrainingData:
             progress=progress,
         )
 
-    def projection(self, rows: IntArray, components: int | None, *, whole: bool = False) -> Projection:
+    def projection(self, rows: IntArray, components: int | None) -> Projection:
         """Principal components of some frames, see :meth:`SourceData.projection`."""
-        return self._shared.projection(rows, components, whole=whole)
+        return self._shared.projection(rows, components)
 
 
 # ---- folds of the calibration: frames or stretches that are held out from the sources that estimate them

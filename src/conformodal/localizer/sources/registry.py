@@ -51,7 +51,7 @@ class SourceData:
     matcher: Matcher = field(default_factory=Matcher)
     _local_features: dict[int, LocalFeatures] = field(default_factory=dict)
     _extracting: Lock = field(default_factory=Lock)
-    _projections: dict[tuple[bytes, int | None, bool], Projection] = field(default_factory=dict)
+    _projections: dict[tuple[bytes, int | None], Projection] = field(default_factory=dict)
 
     def bins_of(self, frames: IntArray) -> QuantileBins:
         """Bins of the targets of some frames."""
@@ -67,12 +67,11 @@ class SourceData:
         """(n,) labels of contiguous stretches."""
         return held_out_together(self.sequence.recording, SplitKind.BLOCKS)
 
-    def projection(self, frames: IntArray, components: int | None, *, whole: bool = False) -> Projection:
-        """Principal components of some frames' features, cached; `whole` adds the global descriptor to the map."""
-        key = (frames.tobytes(), components, whole)
+    def projection(self, frames: IntArray, components: int | None) -> Projection:
+        """Principal components of the network's map of some frames, cached."""
+        key = (frames.tobytes(), components)
         if key not in self._projections:
-            views = feature_views(self.features.shape[1])
-            view = views.both if whole else views.network
+            view = feature_views(self.features.shape[1]).network
             self._projections[key] = fit_projection(self.features[frames], components, view)
         return self._projections[key]
 

@@ -1,5 +1,7 @@
-"""The paper's reasoning (section 3): start from the most probable pose, then always take the combination of intervals
-that is nearest to what the relative motion predicts from the pose chosen before. One wrong pick steers all later ones.
+"""The paper's system: a network with softmaxes, their calibration, and greedy reasoning over intervals and motion.
+
+Greedy reasoning (section 3) starts from the most probable pose, then always takes the combination of intervals that is
+nearest to what the relative motion predicts from the pose chosen before. One wrong pick steers all later ones.
 """
 
 from __future__ import annotations
@@ -9,13 +11,74 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import Float32Array, FloatArray, UInt8Array
 from conformodal.geometry import RelativeMotion
+from conformodal.localizer.candidates import BinRuns, interval_candidates, interval_runs
+from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.observations import PosePath
+from conformodal.localizer.regions import EvidenceType, Support, pose_regions
+from conformodal.tracking.tracker import EssentialFrontEnd
 
-from .candidates import BinRuns
-from .observations import PosePath
+from .config import Method, OdometryError
+from .estimates import Estimate
+from .estimator import InputWatch, Odometry
+from .model import PAPERS_METHOD, Localization, PoseModel
+from .stream import as_trajectory
 
 _LEAST_NORM = 1e-6
+
+
+class PaperOdometry(Odometry):
+    """The paper's system, as it stands: a network with softmaxes, their calibration, and greedy reasoning.
+
+    Its model was trained with :meth:`ModelConfig.paper`; its estimates have the form of those of
+    :class:`VisualOdometry`.
+    """
+
+    answer = PAPERS_METHOD
+    whole_paths = False  # what a stream is told is final
+
+    def __init__(self, model: PoseModel) -> None:
+        if model.method is not Method.PAPER:
+            raise OdometryError("the model was not trained with the paper's method; VisualOdometry runs it")
+        self.model = model
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the stream so far."""
+        self._front_end = EssentialFrontEnd(self.model.camera)
+        self._watch = InputWatch(self.model.expected_input)
+        self._path = Greedy()
+        self._last_s = self._usable_s = None
+
+    def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
+        localization = self._localize(self.model.backbone.features_of(image))
+        proba, region = localization.beliefs.proba, localization.regions
+        motion = self._front_end.measure(image)
+        path = self._path.push(interval_runs(proba, region)[0], motion, timestamp_s)
+        reliable = motion is None or motion.reliable
+        return Estimate(
+            timestamp_s=timestamp_s,
+            pose=as_trajectory(path),
+            region=region,
+            candidates=interval_candidates(proba, region)[0],
+            relative_motion=motion,
+            reliable=reliable,
+            problem="" if reliable or motion is None else str(motion.status),
+            localization=localization,
+            tracks=self._front_end.tracks,
+            corners=self._front_end.corners,
+            evidence=EvidenceType.GLOBAL,
+            position_spread_m=float(np.linalg.norm(path.position_spreads[0])),
+            orientation_spread_rad=float(path.orientation_spreads_rad[0]),
+        )
+
+    def _localize(self, features: Float32Array) -> Localization:
+        """The region of an image as the paper has it: sets of bins, whatever the image."""
+        beliefs, rule = self.model.localizer.beliefs(FrameEvidence(features)), self.model.calibration
+        supports = [Support.of(m.candidates, rule.bins, self.model.sign_reference) for m in beliefs.mixtures]
+        regions = pose_regions(rule, beliefs.proba, supports, rule.thresholds_)
+        return Localization(beliefs, regions, np.array([np.nan]), np.array([EvidenceType.GLOBAL], dtype=np.int64))
 
 
 class Greedy:

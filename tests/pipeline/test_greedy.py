@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import MotionStatus, RelativeMotion
 from conformodal.localizer.candidates import BinRuns
-from conformodal.localizer.greedy import Greedy
 from conformodal.localizer.observations import PosePath
+from conformodal.pipeline.paper import Greedy
 
 
 def some_intervals(rng, counts):
