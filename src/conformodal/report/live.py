@@ -21,10 +21,6 @@ _RANGE_M = 100.0  # the whole line is drawn this far around the chosen position
 _REGION, _ANSWER, _TRUTH, _CANDIDATE = (86, 180, 233), (0, 114, 178), (120, 120, 120), (230, 159, 0)
 
 
-class LiveViewError(ConformodalError):
-    """Rerun cannot be started, or its file not be written."""
-
-
 class LiveView:
     """Shows a run: image with tracks, places of the image and after motion, candidates, trajectory, p-values, truth.
 
@@ -44,7 +40,7 @@ class LiveView:
             if spawn:
                 self._stream.spawn()
         except (OSError, RuntimeError) as exc:
-            raise LiveViewError(f"{save if save is not None else 'Rerun'}: cannot be opened: {exc}") from exc
+            raise ConformodalError(f"{save if save is not None else 'Rerun'}: cannot be opened: {exc}") from exc
         self._previous: FloatArray | None = None  # chosen position
         self._stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._stream.log("about", rerun.TextDocument(f"{as_utf8(name)}, alpha = {alpha}"), static=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,14 +17,9 @@ from .bag import BagStream, bag_reader
 from .frames import SourceError
 from .ros_messages import stamp_s
 
-_TRANSFORM, _TRANSFORMS = "geometry_msgs/msg/TransformStamped", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-_POSE, _PATH = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
-_WITHIN = {  # where a message has its pose
-    "nav_msgs/msg/Odometry": "pose.pose",
-    "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose",
-    _POSE: "pose",
-    _TRANSFORM: "transform",
-}
+_TRANSFORMS, _PATH = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), "nav_msgs/msg/Path"
+_LISTS = dict.fromkeys(_TRANSFORMS, "transforms") | {_PATH: "poses"}  # where a message has several
+_KINDS = ("Odometry", "PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "TFMessage", "tfMessage", "Path")
 _STATIC = "tf_static"
 _BY_HAND = "if these are the camera's poses, give them as a TUM file"
 
@@ -55,7 +49,7 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
     moving, static, n_unusable = _Tree(), _Tree(), 0
     with bag_reader(bag.path) as reader:
         kinds = {c.topic: c.msgtype for c in reader.connections if c.msgcount and not _is_static(c.topic)}
-        kinds = {name: kind for name, kind in kinds.items() if kind in (*_WITHIN, *_TRANSFORMS, _PATH)}
+        kinds = {name: kind for name, kind in kinds.items() if kind.rpartition("/")[2] in _KINDS}
         if topic not in kinds:
             named = ", ".join(sorted(kinds)) or "none"
             raise SourceError(f"{bag.path}: holds no poses on {topic}, which is no file either; there are {named}")
@@ -64,19 +58,22 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
             connection, _, raw = next(reader.messages(connections=images))
             camera = _frame(reader.deserialize(raw, connection.msgtype).header.frame_id)
             wanted = [c for c in reader.connections if c.topic == topic or _is_static(c.topic)]
-            for sent_on, kind, received_s, message in _messages(reader, wanted):
-                each_kind = _TRANSFORM if kind in _TRANSFORMS else _POSE if kind == _PATH else kind
-                for each in (
-                    message.transforms if kind in _TRANSFORMS else message.poses if kind == _PATH else [message]
-                ):
-                    time_s = received_s if bag.received else stamp_s(each)
-                    row = [time_s, *_pose_of(each, each_kind)]
+            n_paths = sum(c.msgcount for c in wanted if c.msgtype == _PATH)
+            for connection, received_ns, raw in reader.messages(connections=wanted):
+                kind, sent = connection.msgtype, []
+                n_paths -= kind == _PATH
+                if kind != _PATH or not n_paths:  # the last path corrects those before it
+                    message = reader.deserialize(raw, kind)
+                    sent = getattr(message, _LISTS[kind]) if kind in _LISTS else [message]
+                for each in sent:
+                    time_s = received_ns / 1e9 if bag.received else stamp_s(each)
+                    row = [time_s, *_pose_of(each)]
                     if not np.isfinite(row).all() or pose_faults(np.array([row[1:4]]), np.array([row[4:]])):
                         n_unusable += 1
                         continue
                     header = message.header if kind == _PATH else each.header
                     frame, parent = _frame(getattr(each, "child_frame_id", "")) or camera, _frame(header.frame_id)
-                    tree = moving if sent_on == topic else static
+                    tree = moving if connection.topic == topic else static
                     if tree.setdefault(frame, (parent, []))[0] != parent:
                         raise ValueError(f"has poses of {frame} in {tree[frame][0]} and in {parent}; {_BY_HAND}")
                     tree[frame][1].append(row)
@@ -89,19 +86,6 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
     if not moving or (len(moving) > 1 and kinds[topic] not in _TRANSFORMS):
         raise SourceError(f"{place}: has poses of {', '.join(moving) or 'no frame'}, expected those of one frame")
     return _along(moving, static, camera, place, notes, max_gap_s)
-
-
-def _messages(reader: Any, connections: list[Any]) -> Iterator[tuple[str, str, float, Any]]:
-    """Topic, type, time of reception and content of messages; of a Path, which repeats its poses, the last alone."""
-    path = None
-    for connection, received_ns, raw in reader.messages(connections=connections):
-        if connection.msgtype == _PATH:
-            path = connection, received_ns, raw
-        else:
-            content = reader.deserialize(raw, connection.msgtype)
-            yield connection.topic, connection.msgtype, received_ns / 1e9, content
-    if path is not None:
-        yield path[0].topic, _PATH, path[1] / 1e9, reader.deserialize(path[2], _PATH)
 
 
 def _along(moving: _Tree, static: _Tree, camera: str, place: str, notes: list[Note], max_gap_s: float) -> Trajectory:
@@ -150,12 +134,13 @@ def _frame(name: str) -> str:
     return name.strip().lstrip("/")  # as early ROS 1 wrote it
 
 
-def _pose_of(message: Any, kind: str) -> list[float]:
+def _pose_of(message: Any) -> list[float]:
     """Position and quaternion, real part first, of a message."""
-    for name in _WITHIN[kind].split("."):
-        message = getattr(message, name)
-    of_transform = kind == _TRANSFORM
-    at, turn = (message.translation, message.rotation) if of_transform else (message.position, message.orientation)
+    if hasattr(message, "transform"):
+        at, turn = message.transform.translation, message.transform.rotation
+    else:
+        pose = getattr(message.pose, "pose", message.pose)  # with a covariance, it is in a pose of its own
+        at, turn = pose.position, pose.orientation
     return [at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z]
 
 
