@@ -44,7 +44,7 @@ def test_stretches_that_look_alike_are_named_by_frames_and_places():
     frames = [[1.5]] * 10 + [[1.5, 11.5]] * 5 + [[1.5]] * 10
     places = examined(*frames, numbers=100 + 2 * np.arange(25))
     (one,) = places.stretches
-    assert (one.first, one.last, one.n_frames, one.n_places) == (120, 128, 5, 2)
+    assert (one.first, one.last, one.distance_m) == (120, 128, 10.0)
     assert (one.place_xyz, one.alike_xyz) == ((1.5, 0.0, 0.0), (11.5, 0.0, 0.0))
     poses = Trajectory(np.arange(3.0), np.diag([2.0, 1.0, 0.0]), np.tile(FORWARD, (3, 1)))
     sequence = SimpleNamespace(recording=np.zeros(1), unit="m")

@@ -12,7 +12,7 @@ from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.guarantee import WHERE, EvidenceGuarantee
 
 from .examining import RecordingQuality
-from .view_coverage import QUALITY, AmbiguousStretch, Point, Stretch
+from .view_coverage import QUALITY, Stretch
 
 
 def verdict(quality: RecordingQuality) -> str:
@@ -52,25 +52,26 @@ def numbers(quality: RecordingQuality) -> list[str]:
 def advice(quality: RecordingQuality) -> list[str]:
     """What to record or train on next, the most valuable first; empty where nothing is missing."""
     lines = []
-    for one in _unbounded(quality):  # too few calibration frames, or too many of them beyond the training range
-        enough = one.weight >= one.weight_needed
+    for guarantee in _unbounded(quality):  # too few calibration frames, or too many of them beyond the training range
+        enough = guarantee.weight >= guarantee.weight_needed
         what = "training data that reach further" if enough else "more, or ask for a larger alpha"
-        lines.append(f"Record {what}: regions are unbounded {WHERE[one.evidence]}.")
-    if quality.coverage is not None:
+        lines.append(f"Record {what}: regions are unbounded {WHERE[guarantee.evidence]}.")
+    coverage, places = quality.coverage, quality.ambiguity
+    sparse, fast = ([], []) if coverage is None else (coverage.sparse, coverage.fast)
+    for text, stretches in (
+        ("Record, or train on, {}: the nearest known view is {} away.", sparse),
+        ("Move more slowly, or record more views, in {}: up to {} from frame to frame.", fast),
+        (
+            "Record the way from one to the other in one piece: {} look like places {}.",
+            places.stretches if places else [],
+        ),
+    ):
         # most errors are to be expected in long stretches far from everything known
-        for what, why, stretches in (
-            ("Record, or train on,", "the nearest known view is {} away", quality.coverage.sparse),
-            ("Move more slowly, or record more views, in", "up to {} from frame to frame", quality.coverage.fast),
-        ):
-            for piece in sorted(stretches, key=lambda one: -one.change * (one.last - one.first + 1)):
-                away = length(piece.distance_m, quality.sequence.unit, 2)
-                change = why.format(f"{away} and {piece.angle_deg:.0f} degrees")
-                change = change if np.isfinite(piece.distance_m) else "nothing is known"
-                lines.append(f"{what} {_where(piece, quality)}: {change}.")
-    if quality.ambiguity is not None:
-        for pair in sorted(quality.ambiguity.stretches, key=lambda one: -one.n_frames):
-            alike = f"{_where(pair, quality)} look like places {_around(pair.alike_xyz, quality)}"
-            lines.append(f"Record the way from one to the other in one piece: {alike}.")
+        for one in sorted(stretches, key=lambda one: -one.change * (one.last - one.first + 1)):
+            change = f"{one.distance_m:.2f} m and {one.angle_deg:.0f} degrees"
+            if one.alike_xyz is not None:
+                change = _around(one.alike_xyz, quality)
+            lines.append(text.format(_where(one, quality), change))
     return lines[: QUALITY.most_advice]
 
 
@@ -113,7 +114,7 @@ def _limit(share: float, quality: RecordingQuality) -> str:
     return f"{np.degrees(turn):.1f} degrees or {length(turn * quality.scale.depth_m, quality.sequence.unit, 2)}"
 
 
-def _where(one: Stretch | AmbiguousStretch, quality: RecordingQuality) -> str:
+def _where(one: Stretch, quality: RecordingQuality) -> str:
     """A stretch by its frames, their files if there are several recordings, and its place."""
     text = f"frame {one.first}" if one.first == one.last else f"frames {one.first} to {one.last}"
     if len(np.unique(quality.sequence.recording)) > 1:
@@ -122,10 +123,10 @@ def _where(one: Stretch | AmbiguousStretch, quality: RecordingQuality) -> str:
     return f"{text} ({_around(one.place_xyz, quality)})"
 
 
-def _around(place_xyz: Point, quality: RecordingQuality) -> str:
+def _around(place_xyz: tuple[float, ...], quality: RecordingQuality) -> str:
     return "around " + ", ".join(f"{'xyz'[j]}={place_xyz[j]:.1f}" for j in quality.axes)
 
 
-def _row(one: Stretch | AmbiguousStretch) -> dict[str, Any]:
+def _row(one: Stretch) -> dict[str, Any]:
     """A stretch, with null for what is infinite."""
     return {k: finite_or_none(round(v, 4)) if isinstance(v, float) else v for k, v in asdict(one).items()}

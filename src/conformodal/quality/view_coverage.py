@@ -49,6 +49,10 @@ class ViewChange:
     distance_m: FloatArray
     angle_deg: FloatArray
 
+    def at(self, i: int) -> tuple[float, float, float]:
+        """The numbers of one view."""
+        return float(self.share[i]), float(self.distance_m[i]), float(self.angle_deg[i])
+
 
 @dataclass(frozen=True)
 class ViewScale:
@@ -91,14 +95,15 @@ class ViewScale:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Neighbouring frames whose views are far from every known one, or from each other."""
+    """Neighbouring frames whose views are far from every known one, far from each other, or those of several places."""
 
     first: int  # frame
     last: int
-    place_xyz: Point  # where the view differs most, in metres
-    change: float  # there, as the next two; see :class:`ViewChange`
+    place_xyz: Point  # metres: where the view differs most; of ambiguous frames, the most probable place in the middle
+    change: float  # there, as the next two, see :class:`ViewChange`; between the two places of ambiguous frames
     distance_m: float
     angle_deg: float
+    alike_xyz: Point | None = None  # the other place of ambiguous frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,26 +137,13 @@ def pose_coverage(
     def stretch(run: IntArray, last: int, change: ViewChange) -> Stretch:
         worst = int(run[np.argmax(change.share[run])])
         x, y, z = poses.positions_xyz[worst].tolist()
-        size = (float(values[worst]) for values in (change.share, change.distance_m, change.angle_deg))
-        return Stretch(int(frames[run[0]]), int(frames[last]), (x, y, z), *size)
+        return Stretch(int(frames[run[0]]), int(frames[last]), (x, y, z), *change.at(worst))
 
     return PoseCoverage(
         away.share,
         [stretch(run, run[-1], away) for run in _runs_of(sparse, recording)],
         [stretch(run, run[-1] + 1, steps) for run in _runs_of(fast, recording)],
     )
-
-
-@dataclass(frozen=True)
-class AmbiguousStretch:
-    """Held-out frames whose regions hold several places."""
-
-    first: int
-    last: int
-    n_frames: int  # of those that were looked at
-    n_places: int  # most places that one of the regions holds
-    place_xyz: Point  # metres: the most probable place of the frame in the middle
-    alike_xyz: Point  # the one after it
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +153,7 @@ class Ambiguity:
     frames: IntArray  # (m,) their numbers
     n_places: IntArray  # (m,) places in each region; 0 where the region is unbounded in some target
     n_unknown: int  # frames that show no known place, by the model's test
-    stretches: list[AmbiguousStretch]  # those with several places, in the order of time
+    stretches: list[Stretch]  # those with several places, in the order of time
 
 
 def ambiguity(frames: IntArray, recording: IntArray, answers: Localization, scale: ViewScale) -> Ambiguity:
@@ -171,9 +163,10 @@ def ambiguity(frames: IntArray, recording: IntArray, answers: Localization, scal
     n_places = np.array([len(several) for several in places], dtype=np.int64)
     stretches = []
     for run in _runs_of(n_places > 1, recording):
-        first, last, middle = int(frames[run[0]]), int(frames[run[-1]]), places[run[len(run) // 2]]
-        one, other = (place.position_xyz.tolist() for place in middle[:2])
-        stretches.append(AmbiguousStretch(first, last, len(run), int(n_places[run].max()), tuple(one), tuple(other)))
+        first, last, middle = int(frames[run[0]]), int(frames[run[-1]]), _poses(places[run[len(run) // 2]][:2])
+        (x, y, z), (u, v, w) = middle.positions_xyz.tolist()
+        change = scale.change(middle[:1], middle[1:]).at(0)
+        stretches.append(Stretch(first, last, (x, y, z), *change, alike_xyz=(u, v, w)))
     return Ambiguity(frames, n_places, int((answers.kinds == EvidenceType.UNKNOWN).sum()), stretches)
 
 
