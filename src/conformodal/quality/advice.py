@@ -58,13 +58,11 @@ def advice(quality: RecordingQuality) -> list[str]:
         lines.append(f"Record {what}: regions are unbounded {WHERE[guarantee.evidence]}.")
     coverage, places = quality.coverage, quality.ambiguity
     sparse, fast = ([], []) if coverage is None else (coverage.sparse, coverage.fast)
+    ambiguous = [] if places is None else places.stretches
     for text, stretches in (
         ("Record, or train on, {}: the nearest known view is {} away.", sparse),
         ("Move more slowly, or record more views, in {}: up to {} from frame to frame.", fast),
-        (
-            "Record the way from one to the other in one piece: {} look like places {}.",
-            places.stretches if places else [],
-        ),
+        ("Record the way from one to the other in one piece: {} look like places {}.", ambiguous),
     ):
         # most errors are to be expected in long stretches far from everything known
         for one in sorted(stretches, key=lambda one: -one.change * (one.last - one.first + 1)):

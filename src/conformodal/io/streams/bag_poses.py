@@ -60,7 +60,7 @@ def read_bag_poses(bag: BagStream, topic: str, notes: list[Note], max_gap_s: flo
             wanted = [c for c in reader.connections if c.topic == topic or _is_static(c.topic)]
             n_paths = sum(c.msgcount for c in wanted if c.msgtype == _PATH)
             for connection, received_ns, raw in reader.messages(connections=wanted):
-                kind, sent = connection.msgtype, []
+                kind, sent = connection.msgtype, list[Any]()
                 n_paths -= kind == _PATH
                 if kind != _PATH or not n_paths:  # the last path corrects those before it
                     message = reader.deserialize(raw, kind)
