@@ -232,21 +232,6 @@ def test_folders_in_no_layout_or_in_two_are_named(tmp_path):
         recognise(tmp_path)
 
 
-def test_image_folders_take_times_and_poses_from_where_they_are(tmp_path):
-    write_images(tmp_path)
-    for i, path in enumerate(sorted(tmp_path.glob("*.png"))):
-        path.rename(tmp_path / f"shot_{2 * i + 3}.png")  # the last is shot_11
-    (tmp_path / "poses.tum").unlink()
-    unposed = read_recording(tmp_path, require_poses=False)
-    assert unposed.timestamps_s.tolist() == pytest.approx([0, 1 / 30, 2 / 30, 0.1, 4 / 30])
-    (tmp_path / "times.txt").write_text("1 2 4 5 7\n")
-    np.savetxt(tmp_path / "groundtruth.txt", np.column_stack(([1, 2, 4, 5, 7], PLACES, QUATS[:, 1:], QUATS[:, :1])))
-    found = read_recording(tmp_path)
-    assert found.timestamps_s.tolist() == [1, 2, 4, 5, 7]
-    np.testing.assert_allclose(found.truth.positions_xyz, PLACES, atol=1e-9)
-    assert [int(found.image(i)[0, 0, 0]) for i in range(N)] == [10 * i for i in range(N)]
-
-
 def test_a_scene_without_a_pose_file_has_frames_without_poses(tmp_path):
     write_rgbd_scenes(tmp_path)
     for scene in (tmp_path / "imgs").iterdir():

@@ -97,6 +97,7 @@ def test_a_gap_that_is_too_long_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("names", "even"),
     [
+        (["f001", "f002", "f003", "f005", "f006"], None),  # with a file of times
         ([f"{100 + 0.1 * i:.6f}" for i in range(N)], True),
         ([f"{1_403_636_579_000_000_000 + 100_000_000 * i}" for i in range(N)], True),
         ([f"shot_{i + 8}" for i in range(N)], True),
@@ -109,10 +110,13 @@ def test_times_of_images_are_their_names_or_even_and_gaps_are_told(tmp_path, nam
         picture(tmp_path / f"{name}.png", i)
     (tmp_path / "camera-intrinsics.txt").write_text("40 40 32 24")
     (tmp_path / "frame-rate.txt").write_text("10")
+    if even is None:
+        (tmp_path / "times.txt").write_text("1 1.1 1.2 1.4 1.5")
     recording = read_recording(tmp_path, require_poses=False)
-    np.testing.assert_allclose(np.diff(recording.timestamps_s), 0.1, atol=1e-6)
+    steps = [0.1, 0.1, 0.2, 0.1] if even is None else 0.1
+    np.testing.assert_allclose(np.diff(recording.timestamps_s), steps, atol=1e-6)
     assert [int(recording.image(i)[0, 0, 0]) for i in range(N)] == [10 * i for i in range(N)]
-    assert ("names skip numbers" not in dict(recording.notes)) == even
+    assert ("names skip numbers" in dict(recording.notes)) == (even is False)
 
 
 # ---- poses

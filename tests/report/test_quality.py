@@ -1,6 +1,4 @@
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -47,18 +45,3 @@ def test_the_page_names_what_to_record_next(tmp_path, missing):
     assert ("frames 57 to 62 (around x=2.4, y=0.0)" in page) == missing
     assert "2 x image cannot be read: a.png" in page
     assert (tmp_path / "figures" / "plan.svg").read_text().startswith("<svg")
-
-
-BLOCKED = "import sys; sys.modules['matplotlib'] = None\n"
-NAMED = "needs matplotlib, which is not installed: pip install 'conformodal[figures]'"
-
-
-def python(script, *arguments):
-    command = [sys.executable, "-c", BLOCKED + script, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-
-
-def test_the_picture_of_a_diagnosis_names_the_extra():
-    done = python("import conformodal\nconformodal.draw_diagnosis")
-    assert done.returncode == 1
-    assert f"a picture of regions or coverage {NAMED}" in done.stderr

@@ -11,7 +11,6 @@ import numpy as np
 from PIL import Image
 
 from conformodal.core.arrays import UInt8Array
-from conformodal.core.ranges import check_ranges
 
 from .errors import DatasetError
 from .recording import ImageChange
@@ -30,7 +29,6 @@ class PixelNoise:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sigma) and self.sigma >= 0):
             raise DatasetError(f"noise needs a standard deviation of at least 0, got {self.sigma}")
-        check_ranges({"seed": self.seed}, DatasetError)
 
     def apply(self, image: UInt8Array, name: str) -> UInt8Array:
         """The noisy image (h, w, 3), cut off at black and white and rounded, as a camera would."""
