@@ -238,13 +238,14 @@ def _useless(column: pd.Series) -> str:
     """Why a column is left out, or nothing."""
     if re.fullmatch(_INDEX, str(column.name)) and column.dtype.kind == "f" and (column.dropna() % 1 == 0).all():
         return "an index"
-    values, missing = column.dropna(), column.isna().mean()
+    gaps = column.isna().to_numpy()
+    values, missing = column.to_numpy()[~gaps], gaps.mean()  # of NumPy: there may be thousands of columns
     if missing > _MOST_MISSING:
         return f"{missing:.0%} missing"
-    if values.nunique() < 2:
+    if (values == values[:1]).all():
         return "one value only"
     if column.dtype.kind == "f":
-        return "numbers the rows" if len(values) > 2 and (values.diff().iloc[1:] == 1).all() else ""
-    if column.dtype.kind != "M" and values.nunique() > _MOST_DISTINCT * len(values):
+        return "numbers the rows" if len(values) > 2 and (np.diff(values) == 1).all() else ""
+    if column.dtype.kind != "M" and column.nunique() > _MOST_DISTINCT * len(values):
         return "another text in nearly every row"
     return ""

@@ -69,11 +69,16 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
         number = counted(joined.size, "row has values", "rows have values")
         notes.append(f"{number} of several lines, such as row {joined[0] + 1}; a quote that is not closed joins rows")
     decimal, columns = written.decimal or _decimal_mark(cells, separator), {}
+    plain = _plain_numbers(cells) if decimal == "." and not written.thousands else {}
     for name, column in cells.items():
+        if name in plain:
+            columns[name] = plain[name]
+            notes += [f"{name}: {note}" for note in _doubts(column, plain[name], written)]
+            continue
         values = _numbers(file, column, decimal, written.thousands)
         if values is None:
             values = _dates(column, separator)
-        columns[name] = values = column if values is None else values
+        columns[name] = values = column.astype("str") if values is None else values
         if values.dtype.kind == "M":
             at = (values.dt.day != values.dt.month).where(values.notna(), False).idxmax()
             notes.append(f"{name}: dates, of which {column[at]!r} is read as {values[at]:%Y-%m-%d}")
@@ -90,12 +95,12 @@ def _rows(text: str, file: Path, shape: dict[str, Any], na_values: Sequence[str]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # of rows longer than those looked at
-            raw = pd.read_csv(io.StringIO(text), dtype=str, **shape)
+            raw = pd.read_csv(io.StringIO(text), dtype=object, **shape)
     except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning) as exc:
         raise TableError(f"{file}: cannot be read as CSV: {' '.join(str(exc).split())}") from None
     if raw.empty:
         raise TableError(f"{file}: cannot be read as CSV: holds no values")
-    return pd.DataFrame(_each(raw, lambda cell: cell.str.strip().replace("", None)), columns=raw.columns)
+    return pd.DataFrame(_each(raw, lambda cell: cell.str.strip().replace("", None)), columns=raw.columns, dtype=object)
 
 
 def _each(cells: pd.DataFrame, change: Callable[[pd.Series], pd.Series]) -> AnyArray:
@@ -179,13 +184,17 @@ def _decimal_mark(cells: pd.DataFrame, separator: str) -> str:
     return max(marks, key=lambda mark: marks[mark])
 
 
+def _plain_numbers(cells: pd.DataFrame) -> dict[Any, pd.Series]:
+    """The columns that hold finite numbers and gaps alone, read in one go: there may be thousands."""
+    numbers = pd.to_numeric(cells.to_numpy(dtype=object).ravel(), errors="coerce").reshape(cells.shape)
+    gaps = cells.isna().to_numpy()
+    plain = (np.isfinite(numbers) | gaps).all(axis=0) & ~gaps.all(axis=0)
+    return {cells.columns[j]: pd.Series(numbers[:, j], cells.index, dtype=float) for j in np.flatnonzero(plain)}
+
+
 def _numbers(file: Path, column: pd.Series, decimal: str, thousands: str | None) -> pd.Series | None:
     """The numbers of a column of text; None if it holds none."""
     given = column.dropna()
-    if decimal == "." and not thousands and given.size:
-        numbers = pd.to_numeric(given, errors="coerce").astype(float)
-        if np.isfinite(numbers).all():
-            return numbers.reindex(column.index)
     grouped = given.str.fullmatch(_GROUPED)
     digits = given
     if thousands:
@@ -230,12 +239,15 @@ def _dates(column: pd.Series, separator: str) -> pd.Series | None:
 def _doubts(column: pd.Series, values: pd.Series, written: CsvFormat) -> list[str]:
     """Notes on numbers that could mean another thing."""
     notes = []
-    marked = (at for at, cell in column[values.notna()].items() if "." in cell or "," in cell)
-    at = next(marked, None)
-    doubtful = at is not None and re.fullmatch(_GROUPED, column[at]) and not (written.decimal or written.thousands)
-    if doubtful and all(re.fullmatch(_GROUPED, column[other]) for other in marked):
-        notes.append(f"{column[at]!r} is read as {values[at]:.12g}; else name --thousands or --decimal")
-    codes = values[np.isin(values, _CODES)]
-    if len(codes) > 1 and codes.iloc[0] in (values.min(), values.max()):
-        notes.append(f"{codes.iloc[0]:g} occurs {len(codes)} times; --na-values={codes.iloc[0]:g} if it means missing")
+    numbers = values.to_numpy()
+    present = ~np.isnan(numbers)
+    pairs = zip(column[present], numbers[present], strict=True)
+    marked = ((cell, number) for cell, number in pairs if "." in cell or "," in cell)
+    cell, number = next(marked, ("", 0.0))
+    doubtful = re.fullmatch(_GROUPED, cell) and not (written.decimal or written.thousands)
+    if doubtful and all(re.fullmatch(_GROUPED, other) for other, _ in marked):
+        notes.append(f"{cell!r} is read as {number:.12g}; else name --thousands or --decimal")
+    codes = numbers[np.isin(numbers, _CODES)]
+    if len(codes) > 1 and codes[0] in (np.nanmin(numbers), np.nanmax(numbers)):
+        notes.append(f"{codes[0]:g} occurs {len(codes)} times; --na-values={codes[0]:g} if it means missing")
     return notes

@@ -14,6 +14,7 @@ from conformodal.core.errors import ConformodalError
 from conformodal.core.words import counted
 
 from .density.encoder import column_of, columns_of, dense_inputs, has_zone, is_frame, is_time
+from .density.named import most_correlated
 from .scores import row_uniforms
 
 Unlike = Literal["unbounded", "ignore"]
@@ -34,6 +35,11 @@ _SORTED = 0.98  # correlation of ranks
 
 class DataWarning(UserWarning):
     """Rows that are unlike each other in a way that coverage does not hold for, and what to do."""
+
+
+def _chance(rows: BoolArray, share: float) -> float:
+    """Probability of so many rows or more, of which each is one with probability `share`."""
+    return float(binom.sf(rows.sum() - 1, rows.size, share)) if rows.any() else 1.0
 
 
 @dataclass
@@ -59,21 +65,21 @@ class ColumnMemory:
 
     def compare(self, values: Any, name: object) -> tuple[BoolArray, list[str]]:
         """Whether each value is of a kind that never occurred, and what is not chance, in words."""
-        gaps, m, words = _missing(values), len(values), list[str]()
+        gaps, words = _missing(values), list[str]()
         unlike = gaps & (self.n_missing == 0)
         if self.n_missing == self.n or (values.dtype.kind == "f" and self.labels):
             return unlike & False, words
-        if unlike.any() or binom.sf(gaps.sum() - 1, m, self.n_missing / self.n) < _CHANCE:
+        if unlike.any() or _chance(gaps, self.n_missing / self.n) < _CHANCE:
             words.append(f"{name} is missing in {gaps.sum()}, in training in {self.n_missing} of {self.n}")
         if values.dtype.kind == "f":
             outside = ~gaps & ((values < self.low) | (values > self.high))
             far = np.abs(values - (self.low + self.high) / 2) > _FAR * (self.high - self.low)
-            if (outside & far).any() or binom.sf(outside.sum() - 1, m, 2 / (self.n + 1)) < _CHANCE**2:
+            if (outside & far).any() or _chance(outside, 2 / (self.n + 1)) < _CHANCE**2:
                 words.append(f"{name} is beyond {self.low:.6g} to {self.high:.6g}, its range, in {outside.sum()}")
             return unlike, words
         new = ~gaps & ~np.isin(values, list(self.labels))
         once = sum(count == 1 for count in self.labels.values())  # of n: the chance of a new label (Good 1953)
-        if new.any() and binom.sf(new.sum() - 1, m, once / self.n) < _CHANCE:
+        if _chance(new, once / self.n) < _CHANCE:
             label = str(values[new][0])
             same = [old for old in self.labels if old.strip().casefold() == label.strip().casefold()]
             hint = f", which may be {same[0]!r}" if same else ""
@@ -137,9 +143,8 @@ def doubt_rows(X: Any, y: FloatArray, has_units: bool, in_time: bool) -> list[st
     if len(y) < _FEWEST_ROWS or matrix is None or not columns:
         return []
     z = (y - y.mean(axis=0)) / np.maximum(y.std(axis=0), 1e-300)
-    if matrix.shape[1] > _MOST_COLUMNS:  # those that vary with a target
-        spread = np.maximum(matrix.std(axis=0), 1e-300)[:, None]
-        matrix = matrix[:, np.abs((matrix - matrix.mean(axis=0)).T @ z / spread).max(axis=1).argsort()[-_MOST_COLUMNS:]]
+    if matrix.shape[1] > _MOST_COLUMNS:
+        matrix = matrix[:, most_correlated(matrix, z, _MOST_COLUMNS)]
     words = [] if has_units else _doubt_units(X, columns, matrix, z)
     return words if in_time else words + _doubt_order(X, columns, matrix, z)
 
@@ -158,9 +163,9 @@ def _doubt_units(X: Any, columns: list[Any], matrix: FloatArray, z: FloatArray) 
     candidates = []
     for j, (code, values) in enumerate(zip(codes, columns, strict=True)):
         sizes = np.bincount(code)
-        means = np.column_stack([np.bincount(code, part) for part in z.T]) / sizes[:, None]
         if not (_LEVELS <= sizes.size <= n / 3 and sizes.max() < _LARGEST_SHARE * n) or is_time(X, j):
             continue
+        means = np.column_stack([np.bincount(code, part) for part in z.T]) / sizes[:, None]
         steps = np.diff(means, axis=0)  # a number that means something has neighbours that are alike
         if values.dtype.kind == "f" and ((steps**2).mean(axis=0) < means.var(axis=0)).any():
             continue

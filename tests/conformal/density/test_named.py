@@ -5,6 +5,7 @@ from sklearn.ensemble import ExtraTreesRegressor
 
 from conformodal.conformal import QuickDensity
 from conformodal.conformal.density.forest import LeafForest, group_values, rank_cosines
+from conformodal.conformal.density.named import boosting, fit_out_of_fold, folds_of
 
 EDGES = np.linspace(-3, 3, 61)
 
@@ -66,6 +67,17 @@ def test_few_rows_and_constant_columns(n):
     for values in (y, 0 * y):
         proba = QuickDensity(random_state=0).fit_bins(X, values, EDGES).predict_proba(X)
         np.testing.assert_allclose(proba.sum(axis=1), 1)
+
+
+def test_thousands_of_columns_are_screened_by_rows_that_are_learnt_from():
+    rng = np.random.default_rng(0)
+    X, y = rng.normal(size=(60, 2000)), rng.normal(size=60)
+    fits = (boosting(0.1, 20, 8, 5, 60, 0), X, y, np.ones(60), folds_of(60, 0, 5))
+    assert abs(np.corrcoef(fit_out_of_fold(*fits)[0], y)[0, 1]) < 0.3  # 0.5 where left-out rows choose columns, too
+    X[:, 7] = y
+    predicted, model = fit_out_of_fold(*fits)
+    assert np.corrcoef(predicted, y)[0, 1] > 0.7
+    assert len(model.columns) == 128
 
 
 def grown(weight):

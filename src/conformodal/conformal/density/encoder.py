@@ -96,10 +96,23 @@ def named_targets(y: Any, expected: list[str] | None) -> tuple[FloatArray, list[
     return as_doubles(y, f"y, {name}," if name else "y"), [str(name)] if name else None
 
 
+def _finite_columns(X: Any) -> dict[int, FloatArray]:
+    """Columns of floats in a frame of pandas, by position: at once, as there may be thousands; none if any is inf."""
+    if not hasattr(X, "select_dtypes"):
+        return {}
+    numbers = X.select_dtypes("float64").to_numpy()
+    places = np.flatnonzero(np.asarray(X.dtypes == "float64"))
+    return {} if np.isinf(numbers).any() else dict(zip(places.tolist(), numbers.T, strict=True))
+
+
 def columns_of(X: Any, text: Collection[int] = ()) -> list[AnyArray]:
     """The columns of a table, see :func:`as_column`; an array has numbers only."""
     if is_frame(X):
-        return [as_column(column_of(X, j), name, j in text) for j, name in enumerate(X.columns)]
+        whole = _finite_columns(X)
+        return [
+            whole[j] if j in whole and j not in text else as_column(column_of(X, j), name, j in text)
+            for j, name in enumerate(X.columns)
+        ]
     arr = as_doubles(X, "X")
     if arr.ndim != 2 or np.isinf(arr).any():
         raise ConformodalError(f"X must be finite or missing, of shape (n, p), got shape {arr.shape}")

@@ -40,6 +40,8 @@ _SECOND_ROWS = 700
 _PROCESS_ROWS = 1500
 # networks of the stack; gradient steps of each: rows times epochs, within limits
 _NETWORKS, _ROWS_SEEN = 3, 600_000
+# columns that a model of a location or spread gets, or as many as there are rows if these are more
+_MOST_COLUMNS = 128
 # (rows, trees, folds): trees of a forest and folds of the quick density for at most so many rows
 _TREES_AND_FOLDS = ((1500, 60, 5), (3000, 60, 3), (5000, 40, 3), (8000, 30, 3), (np.inf, 30, 2))
 # rows that the quick density learns from, drawn at random if there are more; held-out rows that choose its weights
@@ -60,7 +62,8 @@ class QuickDensity(MixtureDensity):
     - values, weighted by a forest on the features alone, for multimodal values, which have no single location.
 
     Each is smoothed by Gaussian kernels, narrower where values are dense; held-out likelihood chooses the bandwidth.
-    Of more than 30,000 rows, so many are drawn at random.
+    Of more than 30,000 rows, so many are drawn at random. Boosted trees get at most 128 columns, or as many as there
+    are rows: those that correlate most with the values that each is fitted on.
 
     Parameters
     ----------
@@ -112,7 +115,7 @@ class QuickDensity(MixtureDensity):
             self.location_ = Location().fit(members, features, z, weight, folds_of(n, seed, n_folds), means)
             summary = self.location_.summary(self.location_.out_of_fold_)
             loc, extended = summary[:, 0], np.column_stack((features, summary))
-            rough, folds = boosting(0.1, 40, 8, 20, seed), folds_of(n, seed, min(n_folds, 3))
+            rough, folds = boosting(0.1, 40, 8, 20, n, seed), folds_of(n, seed, min(n_folds, 3))
             log_spreads, self.spread_ = fit_out_of_fold(rough, extended, log_spread(z - loc), weight, folds)
             spread = np.exp(log_spreads)
             scaled = (z - loc) / spread
@@ -228,9 +231,9 @@ class Location:
 
 def quick_members(n: int, seed: int) -> list[Maker]:
     """Boosted trees, on small tables of two kinds."""
-    members = [boosting(0.15, 150, 15, 5, seed)]
+    members = [boosting(0.15, 150, 15, 5, n, seed)]
     if n <= _SECOND_ROWS:
-        members.append(boosting(0.1, 300, 8, 5, seed))
+        members.append(boosting(0.1, 300, 8, 5, n, seed))
     return members
 
 
@@ -252,7 +255,7 @@ def stacked_members(n: int, seed: int, n_jobs: int | None) -> list[Maker]:
     def trees() -> Any:
         return ExtraTreesRegressor(200, n_jobs=n_jobs, random_state=seed)
 
-    boosters = [boosting(0.05, 500, 31, 10, seed), boosting(0.05, 1000, 8, 5, seed)]
+    boosters = [boosting(0.05, 500, 31, 10, n, seed), boosting(0.05, 1000, 8, 5, n, seed)]
     members = [*boosters, trees, networks(1e-3, 5e-3), networks(0.1, 1e-2)]
     if n <= _PROCESS_ROWS:
         members.append(lambda: make_pipeline(StandardScaler(), _AnisotropicProcess()))
@@ -273,18 +276,43 @@ class _AnisotropicProcess(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return np.asarray(self.process_.predict(X))
 
 
+class _ScreeningRegressor:
+    """A regressor on the columns that correlate most with the values that it is fitted on."""
+
+    def __init__(self, model: Any, most: int) -> None:
+        self.model = model
+        self.most = most
+
+    def fit(self, X: FloatArray, y: FloatArray, **options: Any) -> Self:
+        self.columns = most_correlated(X, y[:, None], self.most)
+        self.model.fit(X[:, self.columns], y, **options)
+        return self
+
+    def predict(self, X: FloatArray) -> FloatArray:
+        return np.asarray(self.model.predict(X[:, self.columns]))
+
+
+def most_correlated(X: FloatArray, y: FloatArray, most: int) -> IntArray:
+    """The columns of `X` (n, p), at most so many, that correlate most with a column of `y` (n, d)."""
+    apart = X - X.mean(axis=0)
+    spread = np.maximum(np.sqrt((apart**2).sum(axis=0)), 1e-300)
+    strength = np.abs(apart.T @ (y - y.mean(axis=0)) / spread[:, None]).max(axis=1)
+    return np.sort(strength.argsort(kind="stable")[-most:])
+
+
 def folds_of(n: int, random_state: int, n_folds: int) -> Folds:
     """Folds of `n` rows."""
     return list(KFold(min(n_folds, n), shuffle=True, random_state=random_state).split(np.empty((n, 1))))
 
 
-def boosting(rate: float, rounds: int, leaves: int, least: int, random_state: int) -> Maker:
-    """A factory of untrained boosted trees."""
+def boosting(rate: float, rounds: int, leaves: int, least: int, n: int, random_state: int) -> Maker:
+    """A factory of untrained boosted trees, for `n` rows: more bins than rows change nothing and take time."""
     return lambda: HistGradientBoostingRegressor(
         learning_rate=rate,
         max_iter=rounds,
         max_leaf_nodes=leaves,
         min_samples_leaf=least,
+        max_bins=min(n, 255),
         l2_regularization=1.0,
         max_features=0.5,
         early_stopping=False,
@@ -300,7 +328,9 @@ def fit_out_of_fold(
     def fitted(rows: Any) -> Any:
         # boosting takes several times as long with weights, equal ones too
         share = {"sample_weight": weight[rows]} if np.ptp(weight) else {}
-        return make().fit(X[rows], y[rows], **share)
+        most = max(_MOST_COLUMNS, y[rows].size)
+        model = make() if X.shape[1] <= most else _ScreeningRegressor(make(), most)
+        return model.fit(X[rows], y[rows], **share)
 
     predictions = np.empty(y.size)
     for train, left_out in folds:
