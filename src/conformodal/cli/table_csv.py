@@ -207,10 +207,8 @@ def _numbers(file: Path, column: pd.Series, decimal: str, thousands: str | None)
     if given.empty or (numbers.notna() | grouped).mean() < _LEAST_SHARE:
         return None
     if grouped.any():
-        raise TableError(
-            f"{file}: column {column.name!r}: {given[grouped].iloc[0]!r} may have marks between thousands; name "
-            "them by --thousands, or the decimal mark by --decimal"
-        )
+        doubt = f"{given[grouped].iloc[0]!r} may have marks between thousands"
+        raise TableError(f"{file}: column {column.name!r}: {doubt}; give --thousands or --decimal")
     return numbers.astype(float).replace([np.inf, -np.inf], np.nan).reindex(column.index)
 
 

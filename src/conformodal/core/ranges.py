@@ -62,9 +62,7 @@ def check_shares(test: float, calibration: float, used: float | None, error: typ
     if test + calibration >= 1:
         raise error(f"test and calibration must leave something to train on, got {test} and {calibration}")
     if used is not None and not calibration < used <= 1 - test + 1e-9:
-        raise error(
-            f"used must be more than calibration ({calibration}) and at most what test ({test}) leaves, got {used}"
-        )
+        raise error(f"used must be above calibration ({calibration}) and leave test ({test}), got {used}")
 
 
 def as_member(

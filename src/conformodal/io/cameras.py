@@ -55,10 +55,8 @@ def camera_of(
         given, actual = f"{stated[0]}x{stated[1]}", f"{size[0]}x{size[1]}"
         sx, sy = (size[k] / max(stated[k], 1e-9) for k in (0, 1))
         if min(stated) < 1 or abs(sx / sy - 1) > _SAME_SHAPE:
-            raise DatasetError(
-                f"{source}: gives its camera for {given} pixels, and the images have {actual}, another shape (are they "
-                "turned?); give the camera of these images"
-            )
+            what = f"camera is for {given} pixels, and the images have {actual}, another shape"
+            raise DatasetError(f"{source}: {what}; give the camera of these images")
         fx, fy, cx, cy = fx * sx, fy * sy, (cx + 0.5) * sx - 0.5, (cy + 0.5) * sy - 0.5  # pixels' centres are whole
         notes.append(Note(SCALED, f"{source}: intrinsics are scaled from {given} pixels to the images' {actual}"))
     try:
@@ -94,10 +92,8 @@ def camera_beside(folder: Path, size: Size, default: PinholeCamera | None, notes
 def uncalibrated_camera(folder: Path | str, size: Size, focal: float | None, notes: list[Note]) -> PinholeCamera:
     """The camera of a focal length in pixels alone: no distortion, and the middle as principal point."""
     if focal is None:
-        raise DatasetError(
-            f"{folder}: no camera is known for {size[0]}x{size[1]} pixels; write its 3x3 matrix into {INTRINSICS}, or "
-            "give its focal length by --focal"
-        )
+        what = f"no camera is known for {size[0]}x{size[1]} pixels"
+        raise DatasetError(f"{folder}: {what}; write its 3x3 matrix into {INTRINSICS}, or give --focal")
     where = f"{folder}: {focal:.0f} pixels, as given; without distortion, and the middle as principal point"
     notes.append(Note("the camera is not calibrated", where))
     return camera_of(f"{folder}: focal length", (focal, focal, size[0] / 2, size[1] / 2), size, notes=notes)
@@ -133,10 +129,8 @@ def _doubts(source: Path | str, camera: PinholeCamera) -> list[str]:
     r = np.linspace(0, hypot(camera.width / camera.fx, camera.height / camera.fy) / 2, 64)
     bends = np.abs([k1 * r**2, k2 * r**4, k3 * r**6, 3 * p1 * r, 3 * p2 * r]).sum(axis=0)
     if not bends[-1] < _MOST_BENT:
-        raise DatasetError(
-            f"{source}: distortion {camera.distortion} moves the image's corner by {bends[-1]:.3g} times its distance "
-            f"from the middle, which no lens does; for a fisheye lens, {UNDISTORT}"
-        )
+        moved = f"moves the image's corner by {bends[-1]:.3g} of its distance from the middle"
+        raise DatasetError(f"{source}: distortion {camera.distortion} {moved}; of a fisheye, {UNDISTORT}")
     if (1 + 3 * k1 * r**2 + 5 * k2 * r**4 + 7 * k3 * r**6 <= 0).any():
         doubts.append(f"distortion {camera.distortion} folds the image over itself before its corner")
     return doubts
@@ -176,9 +170,7 @@ def _undistorted(image: Path, camera: PinholeCamera, target: PinholeCamera) -> P
     try:
         write_whole(made, encoded.getvalue())
     except OSError as exc:
-        raise DatasetError(
-            f"{place}: images cannot be cached there: {exc.strerror}; CONFORMODAL_CACHE names another folder"
-        ) from exc
+        raise DatasetError(f"{place}: cannot be written: {exc.strerror}; set CONFORMODAL_CACHE") from exc
     return made
 
 

@@ -74,10 +74,8 @@ def refuse_few_bits(paths: list[Path]) -> None:
             if _is_wide(image):
                 brightest.append(int(decode(path, "").max()))
     if brightest and max(brightest) < _LEAST_WHITE:
-        raise DatasetError(
-            f"{paths[0]}: has 16 bits, and images use less than a quarter of their range; scale all of them by one "
-            "factor, such as to 8 bits"
-        )
+        what = "has 16 bits, and images use less than a quarter of their range"
+        raise DatasetError(f"{paths[0]}: {what}; scale all by one factor")
 
 
 def image_fault(path: Path, size: tuple[int, int]) -> str:

@@ -176,10 +176,8 @@ class FrameTable:
         most = Counter(cameras).most_common(1)[0][0]
         if turned := next((path for path in self.images if is_turned(path)), None):
             if self.as_stored:
-                raise DatasetError(
-                    f"{turned}: EXIF turns it, and poses and cameras in {self.source} are of images as they are "
-                    "stored; remove the EXIF orientation (exiftool -Orientation= FILES)"
-                )
+                what = f"EXIF turns it, and {self.source} is of images as stored"
+                raise DatasetError(f"{turned}: {what}; remove the orientation (exiftool -Orientation= FILES)")
             self.notes.append(Note(TURNED, f"{turned}: as its EXIF orientation says; intrinsics must be those after"))
         refuse_few_bits(self.images)
         if len(set(cameras)) > 1:
@@ -213,6 +211,4 @@ def _refuse_outside(images: list[Path], root: Path, source: Path | str) -> None:
     for path in images:
         leads_out = ".." in path.parts or not path.is_relative_to(root)
         if leads_out and not Path(os.path.realpath(path)).is_relative_to(real_root):
-            raise DatasetError(
-                f"{source}: names {path}, which lies outside {root}; link its folder into the data set and name that"
-            )
+            raise DatasetError(f"{source}: names {path}, which lies outside {root}; link its folder into the data set")

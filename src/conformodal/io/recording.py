@@ -74,10 +74,8 @@ class Recording:
             if array is not None and array.shape != (n,):
                 raise DatasetError(f"{self.name}: {n} images, but {what} of shape {array.shape}")
         if self.poses is not None and len(self.poses) != len(self.posed):
-            raise DatasetError(
-                f"{self.name}: {len(self.poses)} poses have the times of {len(self.posed)} of {n} images; expected one "
-                "pose per image, or poses at the images' times"
-            )
+            what = f"{len(self.poses)} poses have the times of {len(self.posed)} of {n} images"
+            raise DatasetError(f"{self.name}: {what}; expected a pose per image, or at the times of some")
         wrong = np.flatnonzero(~np.isfinite(self.timestamps_s) | ~(np.diff(self.timestamps_s, prepend=-np.inf) > 0))
         if wrong.size:
             i = int(wrong[0])

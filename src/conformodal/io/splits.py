@@ -104,10 +104,8 @@ def make_split(
         chosen[1:] = [[_shortened(frames, used * whole / n_used, rng) for frames in group] for group in chosen[1:]]
     chosen[0] += listed
     if not all(chosen):
-        raise SplitError(
-            f"{counted(len(recording), 'frame')} in {counted(len(free) + len(listed), 'piece')}: too few for a {kind} "
-            "split into three parts"
-        )
+        pieces = f"{counted(len(recording), 'frame')} in {counted(len(free) + len(listed), 'piece')}"
+        raise SplitError(f"{pieces}: too few for a {kind} split into three parts")
     parts = [np.sort(np.concatenate(pieces)) for pieces in chosen]
     return Split(kind, seed, train=parts[2], calibration=parts[1], test=parts[0])
 
@@ -169,10 +167,7 @@ def _pieces(
     if kind is SplitKind.RECORDINGS:
         return _recordings(frames, recording), []
     if given_test is None:
-        raise SplitError(
-            "split given needs the data set's own lists, and there are none; looked for TrainSplit.txt and "
-            "TestSplit.txt beside the folders seq-NN of a 7-Scenes scene"
-        )
+        raise SplitError("split given needs TrainSplit.txt and TestSplit.txt beside the folders seq-NN, or --test")
     free, listed = frames[~given_test], frames[given_test]
     whole = _recordings(free, recording)
     return whole if len(whole) > 1 else _stretches(free, recording), _recordings(listed, recording)

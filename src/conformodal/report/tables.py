@@ -55,9 +55,7 @@ def draw_regions(
     at = np.arange(n, dtype=np.float64) if x is None else as_finite(x, "x", "(n,)")
     for name, given in (("x", at), ("density", at if density is None else density)):
         if len(given) != n or n == 0:
-            raise ConformodalError(
-                f"{name} and regions must be of the same samples, at least one, got {len(given)}, {n}"
-            )
+            raise ConformodalError(f"{name} and regions must be of the same samples, got {len(given)} and {n}")
     ax = Figure(layout="constrained").subplots() if ax is None else ax
     order, edges = np.argsort(at, kind="stable"), regions.bins.edges_[target]
     middles = (at[order][1:] + at[order][:-1]) / 2

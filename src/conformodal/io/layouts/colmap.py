@@ -138,10 +138,8 @@ def _image_folder(folder: Path, model: _Model) -> Path:
 def _lens(camera: _Camera, size: Size, notes: list[Note]) -> PinholeCamera:
     names = _LENSES.get(camera.model, "").split()
     if not names or len(camera.parameters) != len(names):
-        raise DatasetError(
-            f"{camera.where}: camera model {camera.model[:40]} of {len(camera.parameters)} parameters is none of "
-            f"{', '.join(_LENSES)}: {UNDISTORT}"
-        )
+        model = f"{camera.model[:40]} of {len(camera.parameters)} parameters"
+        raise DatasetError(f"{camera.where}: camera model {model} is none of {', '.join(_LENSES)}: {UNDISTORT}")
     value = dict(zip(names, camera.parameters, strict=True))
     # COLMAP's first pixel has its centre at (0.5, 0.5), OpenCV's at (0, 0)
     centre = value["cx"] - 0.5, value["cy"] - 0.5

@@ -68,9 +68,7 @@ def _calibration(path: Path, size: Size, notes: list[Note]) -> _Calibration:
     except (yaml.YAMLError, *MALFORMED) as exc:
         raise DatasetError(f"{path}: is not a camera calibration: {type(exc).__name__}: {str(exc)[:200]}") from exc
     if model != "pinhole" or distortion not in _LENSES:
-        raise DatasetError(
-            f"{path}: has camera model {model}, {distortion}; expected pinhole and {_LENSES[0]}: {UNDISTORT}"
-        )
+        raise DatasetError(f"{path}: camera is {model}, {distortion}, expected pinhole, {_LENSES[0]}: {UNDISTORT}")
     if fault := matrix_faults(T_body_cam[None]).get(0):
         raise DatasetError(f"{path}: mounting of the camera {fault}")
     stated = int(width), int(height)

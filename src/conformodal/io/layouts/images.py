@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from conformodal.core.arrays import FloatArray
-from conformodal.core.words import counted
 from conformodal.io.cameras import INTRINSICS, camera_beside
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
@@ -65,10 +64,8 @@ def _refuse_kinds(folder: Path, images: list[Path]) -> None:
         both = first.keys() & other.keys()
         if len(both) >= max(_FEW, len(other) / 2) and 2 * len(other) >= len(first):
             names = f"{first[min(both)]} and {other[min(both)]}"
-            raise DatasetError(
-                f"{folder}: holds images of two kinds, such as {names}, which {counted(len(both), 'number')} have in "
-                "common; expected those of one camera"
-            )
+            what = f"images of two kinds, such as {names}, which {len(both)} numbers have in common"
+            raise DatasetError(f"{folder}: holds {what}; expected one camera's")
 
 
 def _note_gaps(folder: Path, images: list[Path], notes: list[Note]) -> None:

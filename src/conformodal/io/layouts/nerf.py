@@ -96,10 +96,8 @@ def _image(folder: Path, name: str) -> Path:
 def _camera(path: Path, values: dict[str, Any], size: Size, notes: list[Note]) -> PinholeCamera:
     model = values.get("camera_model", "OPENCV")
     if model not in _MODELS or values.get("is_fisheye") or values.get("k4"):
-        raise DatasetError(
-            f"{path}: has camera_model {str(model)[:40]} with {', '.join(sorted(values))}; expected one of "
-            f"{', '.join(_MODELS)}, not a fisheye's: {UNDISTORT}"
-        )
+        given = f"camera_model {str(model)[:40]} with {', '.join(sorted(values))}"
+        raise DatasetError(f"{path}: has {given}, expected one of {', '.join(_MODELS)}: {UNDISTORT}")
     if ("w" in values) != ("h" in values) or not 0 < values.get(_ANGLE, 1.0) < np.pi:
         raise DatasetError(f"{path}: expected both w and h or none, and {_ANGLE} in radians between 0 and 3.14")
     whole = (round(values["w"]), round(values["h"])) if "w" in values else size

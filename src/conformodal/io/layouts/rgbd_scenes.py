@@ -42,9 +42,7 @@ def read_rgbd_scenes(folder: Path) -> FrameTable:
     scenes = [folder] if one else recording_folders(folder / "imgs", _PREFIX)
     recordings = [numbered_frames(scene, _IMAGE) for scene in scenes]
     if not scenes or not all(recordings):
-        raise DatasetError(
-            f"{folder}: holds no imgs/scene_NN, or one without FFFFF-color.png; expected RGB-D Scenes v2"
-        )
+        raise DatasetError(f"{folder}: holds no imgs/scene_NN, or one without FFFFF-color.png")
     name = folder.name if one else f"{folder.name} ({len(scenes)} scenes)"
     table = FrameTable.of_recordings(name, recordings, FRAME_RATE_HZ)
     table.camera = camera_beside(folder, common_size(table.images), CAMERA, table.notes)

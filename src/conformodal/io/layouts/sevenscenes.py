@@ -77,9 +77,8 @@ def _listed_for_testing(folder: Path, recordings: list[Path]) -> BoolArray:
     train, test = (parse_lines(folder / name, parse, "'sequence1'") for name in _LISTS)
     numbers = [int(recording.name.removeprefix(_PREFIX)) for recording in recordings]
     if sorted(train + test) != sorted(numbers):
-        raise DatasetError(
-            f"{folder}: {_LISTS[0]} names {train} and {_LISTS[1]} {test}, expected each of the folders {numbers} once"
-        )
+        named = f"{_LISTS[0]} names {train} and {_LISTS[1]} {test}"
+        raise DatasetError(f"{folder}: {named}, expected each of the folders {numbers} once")
     return np.isin(numbers, test)
 
 

@@ -94,9 +94,8 @@ def _along(moving: _Tree, static: _Tree, camera: str, place: str, notes: list[No
     for frame, (parent, rows) in moving.items():
         root, T_root_frame = _to_root(static, frame)
         if root in edges:
-            raise SourceError(
-                f"{place}: moves {frame} and {edges[root].frame}, which are fixed to each other; {_BY_HAND}"
-            )
+            both = f"{frame} and {edges[root].frame}"
+            raise SourceError(f"{place}: moves {both}, which are fixed to each other; {_BY_HAND}")
         edges[root] = _Edge(frame, parent, _path(np.unique(rows, axis=0), place, frame), T_root_frame)
     root, T_root_cam = _to_root(static, camera)
     chain = []

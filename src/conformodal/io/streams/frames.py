@@ -26,10 +26,8 @@ class SourceError(DatasetError):
 def check_size(place: str, size: tuple[int, int] | None, camera: PinholeCamera | None) -> None:
     """Refuse images of another size than the camera's that a source without calibration is assumed to have."""
     if size and camera is not None and size != (camera.width, camera.height):
-        raise SourceError(
-            f"{place}: has images of {size[0]}x{size[1]} pixels and no calibration; expected the model's "
-            f"{camera.width}x{camera.height}. Give its camera by data convert --camera, and run what that writes"
-        )
+        expected = f"expected the model's {camera.width}x{camera.height}; give a camera by data convert --camera"
+        raise SourceError(f"{place}: has images of {size[0]}x{size[1]} pixels and no calibration, {expected}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,10 +77,7 @@ def open_video(path: Path, camera: PinholeCamera | None = None) -> VideoStream:
         pixel = capture.get(cv2.CAP_PROP_SAR_NUM), capture.get(cv2.CAP_PROP_SAR_DEN)
     if turned_deg % 90 or _is_mirrored(path):
         how = f"turned by {turned_deg:.0f} degrees" if turned_deg % 90 else "mirrored"
-        raise SourceError(
-            f"{path}: its metadata says that pictures are shown {how}, and only quarter turns are applied; write them "
-            "as they are shown, such as by 'ffmpeg -i IN.mp4 OUT.mp4'"
-        )
+        raise SourceError(f"{path}: is shown {how}, and only quarter turns are read; try 'ffmpeg -i IN.mp4 OUT.mp4'")
     check_size(str(path), size if all(size) else None, camera)
     notes = []
     if turned_deg:
