@@ -14,7 +14,7 @@ from conformodal.pipeline.store import load_model
 from tests.helpers import contents
 
 MAIN = "from conformodal.cli.main import app; app()"
-SIGNALS = {"kill -9": signal.SIGKILL, "SIGTERM": signal.SIGTERM, "SIGINT": signal.SIGINT}
+SIGNALS = {"kill -9": signal.SIGKILL, "SIGTERM": signal.SIGTERM}
 
 
 def start(*arguments) -> subprocess.Popen:

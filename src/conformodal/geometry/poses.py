@@ -25,16 +25,11 @@ class PoseError(ConformodalError):
     """An invalid pose, rotation or trajectory: NaN, not a rotation, different lengths."""
 
 
-def check_rotation_matrices(matrices: npt.ArrayLike, name: str = "rotation") -> FloatArray:
+def check_rotation_matrices(matrices: FloatArray) -> FloatArray:
     """Check matrices (n, 3, 3) and project them to exact rotations."""
-    arr = np.asarray(matrices, dtype=np.float64)
-    if arr.ndim != 3 or arr.shape[1:] != (3, 3):
-        raise PoseError(f"{name} must have shape (n, 3, 3), got {arr.shape}")
-    faults = rotation_faults(arr)
-    if faults:
-        i = min(faults)
-        raise PoseError(f"{name} {i} {'is ' if faults[i].startswith('not') else ''}{faults[i]}")
-    u, _, vt = np.linalg.svd(arr)
+    if faults := rotation_faults(matrices):
+        raise PoseError(f"pose {min(faults)}: {faults[min(faults)]}")
+    u, _, vt = np.linalg.svd(matrices)
     return np.asarray(u @ vt)
 
 
@@ -170,7 +165,7 @@ class Trajectory:
         poses = np.asarray(poses_se3, dtype=np.float64)
         if poses.ndim != 3 or poses.shape[1:] != (4, 4):
             raise PoseError(f"poses_se3 must have shape (n, 4, 4), got {poses.shape}")
-        rotations = Rotation.from_matrix(check_rotation_matrices(poses[:, :3, :3], "pose"))
+        rotations = Rotation.from_matrix(check_rotation_matrices(poses[:, :3, :3]))
         return cls(np.asarray(timestamps_s), poses[:, :3, 3], rotations.as_quat(scalar_first=True))
 
     @property

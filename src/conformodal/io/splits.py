@@ -63,24 +63,12 @@ def make_split(
 ) -> Split:
     """Cut frames into parts.
 
-    Parameters
-    ----------
-    recording
-        (n,) the recording each frame belongs to; blocks do not span recordings.
-    kind
-        ``"interleaved"``, ``"blocks"``, ``"recordings"`` or ``"given"``.
-    seed
-        Of the random choice of frames, blocks or recordings.
-    test, calibration
-        Shares of all frames; for ``recordings``, of the recordings, and every part gets at least one. For ``given``,
-        the frames that the lists do not name stand for the share ``1 - test``: whole recordings of them calibrate if
-        there are two or more, otherwise stretches do.
-    used
-        Share for training and calibration together; all but the test part by default, which is the same whatever it
-        is. Where recordings are too few to leave some out, a stretch of each is taken.
-    given_test
-        (n,) whether the data set's own lists name a frame for testing; None if it has no lists. Only ``given`` reads
-        it.
+    `recording` (n,) is the recording each frame belongs to; blocks do not span recordings. `test` and `calibration` are
+    shares of all frames; for ``recordings``, of the recordings, and every part gets at least one. For ``given``, the
+    frames that `given_test` (n,) does not name stand for the share ``1 - test``: whole recordings of them calibrate if
+    there are two or more, otherwise stretches do. `used` is the share for training and calibration together; all but
+    the test part by default, which is the same whatever it is. Where recordings are too few to leave some out, a
+    stretch of each is taken.
     """
     kind = as_member(kind, SplitKind, "split", SplitError)
     check_ranges({"test": test, "calibration": calibration, "used": used, "seed": seed}, SplitError)
