@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import binom, rankdata
 from sklearn.ensemble import ExtraTreesRegressor
+from sklearn.model_selection import GroupKFold, cross_val_predict
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
@@ -19,18 +20,12 @@ from .scores import row_uniforms
 
 Unlike = Literal["unbounded", "ignore"]
 
-# what is no more likely than this, if new rows are like the training rows, is told
-_CHANCE = 1e-3
-_FAR = 10.0  # ranges beyond a range: another unit
-# a forest that stands for the learner: rows, columns, trees, folds
-_FEWEST_ROWS, _MOST_ROWS, _MOST_COLUMNS, _TREES, _FOLDS = 40, 1000, 100, 10, 3
-_MOST_TWINS = 0.1  # of rows, identical to another
-_CONTINUOUS = 0.3  # distinct values of a column, of all distinct rows: these do not repeat by chance
-# a column that may name units: distinct values, most rows of one, variance of the target between them
-_LEVELS, _LARGEST_SHARE, _LEAST_SHARE = 8, 0.25, 0.1
-# told are errors that rows of left-out units, or neighbours in the order, share; and what sets for 90 % then hold
-_ALIKE_IN_UNITS, _ALIKE_IN_ORDER, _LEAST_HELD = 0.5, 0.6, 0.72
-_SORTED = 0.98  # correlation of ranks
+# told is what is no more likely than this, if new rows are like the training rows, and what lies ranges beyond a range
+_CHANCE, _FAR = 1e-3, 10.0
+# rows of a forest that stands for the learner
+_MOST_ROWS = 1000
+# told are units of which sets for 90 % hold less, and orders in which errors of neighbours correlate more
+_LEAST_HELD, _ALIKE = 0.72, 0.6
 
 
 class DataWarning(UserWarning):
@@ -136,15 +131,13 @@ def doubt_rows(X: Any, y: FloatArray, has_units: bool, in_time: bool) -> list[st
     """Why the coverage of rows split at random is not that of new rows, and what mends it, in words.
 
     `y` are values (n, d). Looked for are identical rows; units with several rows, such as a subject; and an order in
-    which neighbours are alike, that of the index or of the first column of dates. A quick forest stands for the
-    learner.
+    which neighbours are alike, that of the index or of the first column of dates.
     """
     columns, matrix = _columns(X), dense_inputs(X)
-    if len(y) < _FEWEST_ROWS or matrix is None or not columns:
+    if len(y) < 40 or matrix is None or not columns:  # of fewer rows any are alike
         return []
     z = (y - y.mean(axis=0)) / np.maximum(y.std(axis=0), 1e-300)
-    if matrix.shape[1] > _MOST_COLUMNS:
-        matrix = matrix[:, most_correlated(matrix, z, _MOST_COLUMNS)]
+    matrix = matrix[:, most_correlated(matrix, z, 100)]
     words = [] if has_units else _doubt_units(X, columns, matrix, z)
     return words if in_time else words + _doubt_order(X, columns, matrix, z)
 
@@ -153,84 +146,65 @@ def _doubt_units(X: Any, columns: list[Any], matrix: FloatArray, z: FloatArray) 
     """Rows that are identical, and the column whose values name what rows were drawn together in."""
     codes = [np.unique(values, return_inverse=True)[1] for values in columns]
     n, whole = len(z), np.column_stack(codes).astype(np.float64)
-    same_inputs = np.unique(row_uniforms(whole), return_inverse=True)[1]
-    identical = np.unique(row_uniforms(np.column_stack((whole, z))), return_inverse=True)[1]
-    twins = np.bincount(identical)[identical] > 1
-    most = max(int(code.max()) + 1 for code in codes)  # in a table of few labels, rows repeat by chance
-    if twins.mean() > _MOST_TWINS and most > _CONTINUOUS * (identical.max() + 1):
+    inputs, rows = (np.unique(row_uniforms(part), return_inverse=True)[1] for part in (whole, np.hstack((whole, z))))
+    repeated, twins = (np.bincount(code)[code] > 1 for code in (inputs, rows))
+    # in a table of few labels, rows repeat by chance
+    continuous = 3 * max(int(code.max()) for code in codes) > inputs.max()
+    if continuous and twins.mean() > 0.1:
         alike = f"{twins.sum()} of {n} rows are identical to another row, on both sides of the split"
         return [f"{alike}: coverage is that of repeated rows, not of new ones; drop the duplicates, or name units"]
-    candidates = []
+    candidates = [(np.inf, "set of inputs", inputs)] if continuous and repeated.mean() > 0.1 else []
     for j, (code, values) in enumerate(zip(codes, columns, strict=True)):
         sizes = np.bincount(code)
-        if not (_LEVELS <= sizes.size <= n / 3 and sizes.max() < _LARGEST_SHARE * n) or is_time(X, j):
+        if not (3 * sizes.size <= n and 6 * sizes.max() < n) or is_time(X, j):
             continue
         means = np.column_stack([np.bincount(code, part) for part in z.T]) / sizes[:, None]
-        steps = np.diff(means, axis=0)  # a number that means something has neighbours that are alike
-        if values.dtype.kind == "f" and ((steps**2).mean(axis=0) < means.var(axis=0)).any():
+        share = float((sizes @ means**2).max() / n)  # of the variance of the target
+        # a number that means something has neighbours that are alike
+        number = values.dtype.kind == "f" and ((np.diff(means, axis=0) ** 2).mean(axis=0) < means.var(axis=0)).any()
+        if share > 0.1 and not number:
+            candidates.append((share, str(X.columns[j]) if is_frame(X) else f"column {j}", code))
+    for _, name, code in sorted(candidates, key=lambda one: -one[0])[:2]:
+        order = np.random.default_rng(0).permutation(code.max() + 1)
+        sizes = np.bincount(code)[order]
+        drawn = np.isin(code, order[np.cumsum(sizes) <= max(_MOST_ROWS, sizes[0])])
+        if np.unique(code[drawn]).size < 3:
             continue
-        candidates.append(
-            (float((sizes @ means**2).max() / n), str(X.columns[j]) if is_frame(X) else f"column {j}", code)
-        )
-    if (np.bincount(same_inputs)[same_inputs] > 1).mean() > _MOST_TWINS and most > _CONTINUOUS * same_inputs.max():
-        candidates.append((np.inf, "set of inputs", same_inputs))
-    for share, name, code in sorted(candidates, key=lambda one: -one[0])[:2]:
-        random = np.random.default_rng(0)
-        sizes = np.bincount(code)
-        order = random.permutation(sizes.size)
-        rows = np.flatnonzero(np.isin(code, order[np.cumsum(sizes[order]) <= max(_MOST_ROWS, sizes[order[0]])]))
-        if share < _LEAST_SHARE or np.unique(code[rows]).size < _FOLDS:
-            continue
-        usual = _left_out(matrix[rows], z[rows], np.arange(rows.size))
-        new = _left_out(matrix[rows], z[rows], code[rows])
-        held = (np.abs(new) <= np.quantile(np.abs(usual), 0.9, axis=0)).mean(axis=0)
-        if ((_shared(new, code[rows]) > _ALIKE_IN_UNITS) & (held < _LEAST_HELD)).any():
+        usual, new = (np.abs(_left_out(matrix[drawn], z[drawn], of[drawn])) for of in (np.arange(n), code))
+        held = (new <= np.quantile(usual, 0.9, axis=0)).mean(axis=0).min()
+        if held < _LEAST_HELD:
             told = f"rows of one {name} are alike: coverage is that of further rows of the same, not of a new {name}"
-            return [f"{told}, of which sets for 90 % may hold {held.min():.0%}; name it as the unit (units=, --unit)"]
+            return [f"{told}, of which sets for 90 % may hold {held:.0%}; name it as the unit (units=, --unit)"]
     return []
 
 
 def _doubt_order(X: Any, columns: list[Any], matrix: FloatArray, z: FloatArray) -> list[str]:
     """Rows that are like their neighbours in the order of time, or of the index."""
     n, index = len(z), np.asarray(getattr(X, "index", np.arange(len(z))))
-    dates = [j for j in range(len(columns)) if is_time(X, j)]
+    dates = [values for j, values in enumerate(columns) if is_time(X, j)]
     usable = index.shape == (n,) and index.dtype.kind in "iufM" and np.unique(index).size == n
-    order = np.argsort(columns[dates[0]] if dates else index if usable else np.arange(n), kind="stable")
+    order = np.argsort(dates[0] if dates else index if usable else np.arange(n), kind="stable")
     rows = order[:: -(-n // _MOST_ROWS)]
     matrix, z = matrix[rows], z[rows]
     if dates:  # what only counts the time
         matrix = matrix[:, (np.diff(matrix, axis=0) < 0).any(axis=0)]
-    elif np.abs(np.corrcoef(np.arange(len(z)), rankdata(z, axis=0), rowvar=False)[0, 1:]).max() > _SORTED:
+    elif np.abs(np.corrcoef(np.arange(len(z)), rankdata(z, axis=0), rowvar=False)[0, 1:]).max() > 0.98:
         return []  # by the target, for show
     errors = _left_out(matrix, z, np.arange(len(z))) if matrix.shape[1] else z
     errors = errors - errors.mean(axis=0)
-    alike = (errors[1:] * errors[:-1]).mean(axis=0) / np.maximum((errors**2).mean(axis=0), 1e-300)
-    if alike.max() < _ALIKE_IN_ORDER:
+    alike = ((errors[1:] * errors[:-1]).mean(axis=0) / np.maximum((errors**2).mean(axis=0), 1e-300)).max()
+    if alike < _ALIKE:
         return []
-    told = f"rows near each other in {'time' if dates else 'order'} are alike (correlation {alike.max():.2f})"
+    told = f"rows near each other in {'time' if dates else 'order'} are alike (correlation {alike:.2f})"
     mend = "split in time (calibration='last', --split time)"
     return [f"{told}: coverage is that of rows in between, not of later rows; {mend}"]
 
 
 def _left_out(matrix: FloatArray, z: FloatArray, units: IntArray) -> FloatArray:
     """Errors (n, d) of a small forest that has not seen the unit of a row."""
-    names, code = np.unique(units, return_inverse=True)
-    fold = (np.random.default_rng(0).permutation(names.size) % _FOLDS)[code]
-    errors = np.empty_like(z)
-    for k in range(_FOLDS):
-        forest = ExtraTreesRegressor(_TREES, min_samples_leaf=2, random_state=0)
-        target = z[:, 0] if z.shape[1] == 1 else z
-        predicted = forest.fit(matrix[fold != k], target[fold != k]).predict(matrix[fold == k])
-        errors[fold == k] = z[fold == k] - predicted.reshape(-1, z.shape[1])
-    return errors
-
-
-def _shared(errors: FloatArray, units: IntArray) -> FloatArray:
-    """Share (d,) of the variance of errors that rows of one unit share: the intraclass correlation."""
-    code = np.unique(units, return_inverse=True)[1]
-    sizes, n = np.bincount(code), len(code)
-    means = np.column_stack([np.bincount(code, part) for part in errors.T]) / sizes[:, None]
-    within = ((errors - means[code]) ** 2).sum(axis=0) / max(n - sizes.size, 1)
-    between = (sizes @ (means - errors.mean(axis=0)) ** 2) / (sizes.size - 1)
-    size = (n - (sizes**2).sum() / n) / (sizes.size - 1)
-    return np.asarray((between - within) / np.maximum(between + (size - 1) * within, 1e-300))
+    forest, folds = (
+        ExtraTreesRegressor(10, min_samples_leaf=2, random_state=0),
+        GroupKFold(3, shuffle=True, random_state=0),
+    )
+    predicted = cross_val_predict(forest, matrix, z[:, 0] if z.shape[1] == 1 else z, groups=units, cv=folds)
+    return np.asarray(z - predicted.reshape(z.shape))
