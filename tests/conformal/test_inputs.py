@@ -207,8 +207,3 @@ def test_what_is_not_a_label_per_sample_is_refused(use):
     for kind, labels in BAD_LABELS.items():
         with pytest.raises(cm.ConformodalError, match=r"groups|folds|units"):
             pytest.fail(f"{kind}: {USES[use](labels, G)}")
-
-
-@pytest.mark.parametrize("new", ["z", 5, date(2020, 1, 1), 2.5])
-def test_sets_of_labels_never_seen_are_unbounded(new):
-    assert cm.MondrianConformal(BINS, 0.2).calibrate(P, Y, of("abc")).predict(P, [new] * N).unbounded.all()

@@ -83,7 +83,7 @@ PARAMETERS = {  # argument, values that it does not take, what takes it
     "score": ("score", ["best", cm.Lac, None], lambda v: split(score=v)),
     "bins": ("bins", [[0, 1], None], lambda v: cm.SplitConformal(v).calibrate(P, Y)),
     "delta": ("delta", NOT_NUMBERS, lambda v: cm.DriftMonitor(SPLIT, v)),
-    "method": ("method", [5, "dtaci", lambda alpha: 5], lambda v: cm.OnlineConformal(BINS, method=v)),
+    "method": ("method", [5, "dtaci"], lambda v: cm.OnlineConformal(BINS, method=v)),
     "estimator": ("estimator", [5, "slow", DecisionTreeClassifier], lambda v: cm.ConformalRegressor(v).fit(X, Y)),
     "window": ("window", [2.5, 0], lambda v: cm.Aci(window=v)),
 }
@@ -151,7 +151,6 @@ REFUSED = [
     ("row 0", lambda: cm.QuantileBins(9, y_min=5).fit(Y)),
     ("row 0", lambda: tree(y_min=0).fit(X, Y).conformalize(X, -1 - Y)),
     ("order", lambda: cm.Aps("size")),
-    ("estimator", lambda: cm.region_scorers()["coverage"](DecisionTreeClassifier(), X, Y)),
     ("alpha", lambda: cm.region_scorers(2)),
     ("regions", lambda: FITTED.predict_density(X).probabilities(REGIONS[:3], 0)),
     ("y", lambda: FITTED.predict_density(X).pdf([1.0])),

@@ -2,8 +2,6 @@ import numpy as np
 import pytest
 from sklearn.base import clone
 from sklearn.ensemble import RandomForestClassifier
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 from sklearn.tree import DecisionTreeClassifier
 from sklearn.utils.estimator_checks import check_estimator, parametrize_with_checks
 
@@ -72,23 +70,6 @@ def test_a_named_density_on_two_targets(estimator):
     assert (regions.contains(Y[400:]).mean(axis=0) > 0.8).all()
     assert np.abs(regions.n_intervals.mean(axis=0) - [2, 1]).max() < 0.5
     assert reg.predict(X).shape == (500, 2)
-
-
-def test_pipelines_pandas_and_set_output():
-    pandas = pytest.importorskip("pandas")
-    X, y = bimodal(400)
-    frame = pandas.DataFrame(X, columns=["x"])
-    chain = make_pipeline(StandardScaler(), ConformalRegressor(forest(), n_bins=10, random_state=0))
-    chain.set_output(transform="pandas").fit(frame, y)
-    assert chain.predict(frame).shape == (400,)
-    assert chain[-1].feature_names_in_.tolist() == ["x"]
-    regions = chain[-1].predict_region(chain[:-1].transform(frame))
-    assert len(regions) == 400
-    np.testing.assert_array_equal(chain.predict(frame, region=True).masks[0], regions.masks[0])
-    wider = chain.predict(frame, region=True, alpha=0.02)
-    np.testing.assert_array_equal(wider.masks[0], chain[-1].predict_region(chain[:-1].transform(frame), 0.02).masks[0])
-    with pytest.raises(ValueError, match="feature names"):
-        chain[-1].predict_region(frame.rename(columns={"x": "z"}))
 
 
 def test_weights_of_zero_leave_samples_out_of_all():

@@ -5,15 +5,14 @@ import pandas as pd
 import pytest
 from sklearn import config_context
 from sklearn.base import BaseEstimator, ClassifierMixin
-from sklearn.compose import TransformedTargetRegressor, make_column_transformer
-from sklearn.linear_model import Ridge
+from sklearn.compose import make_column_transformer
 from sklearn.metrics import r2_score
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_predict, cross_val_score, cross_validate
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import OneHotEncoder, StandardScaler
 from sklearn.tree import DecisionTreeClassifier
 
-from conformodal.conformal import ConformalRegressor, ConformodalError, Regions, log_density, region_scorers
+from conformodal.conformal import ConformalRegressor, Regions, log_density, region_scorers
 
 RNG = np.random.default_rng(0)
 X = RNG.uniform(-1, 1, (300, 2))
@@ -134,9 +133,3 @@ def test_a_classifier_that_demands_labels_without_gaps_gets_them():
     plain = ConformalRegressor(DecisionTreeClassifier(max_depth=3, random_state=0), n_bins=150, random_state=0)
     reg = ConformalRegressor(Demanding(), n_bins=150, random_state=0).fit(own, y)
     np.testing.assert_array_equal(reg.predict_bins(own)[0], plain.fit(own, y).predict_bins(own)[0])
-
-
-@pytest.mark.parametrize("model", [Ridge(), TransformedTargetRegressor(tree())])
-def test_scorers_name_an_estimator_without_regions(model):
-    with pytest.raises(ConformodalError, match=f"got {type(model).__name__}"):
-        region_scorers()["coverage"](model.fit(X, Y), X, Y)

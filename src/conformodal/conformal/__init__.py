@@ -16,7 +16,7 @@ from .bins import QuantileBins
 from .calibrators.split import SplitConformal
 from .coverage import CoverageCheck, check_coverage, coverage_band, grouped_coverage_band
 from .novelty import NoveltyTest
-from .rank import conformal_quantile, conformal_rank, hierarchical_maximum_quantile, hierarchical_quantile
+from .rank import conformal_quantile, conformal_rank, hierarchical_quantile
 from .regions import Regions
 from .scores import Aps, Density, Lac, MaxIntervals, Score, register_score
 
@@ -55,6 +55,6 @@ __all__ = [
     "CrossConformal", "DataWarning", "Density", "Diagnosis", "DriftMonitor", "Lac", "MaxIntervals", "MondrianConformal",
     "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
     "Regions", "Score", "SplitConformal", "StackedDensity", "WeightedConformal", "check_coverage", "conformal_quantile",
-    "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band", "hierarchical_maximum_quantile",
+    "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band",
     "hierarchical_quantile", "log_density", "region_scorers", "register_score",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import binom, rankdata
 from sklearn.ensemble import ExtraTreesRegressor
-from sklearn.model_selection import GroupKFold, cross_val_predict
+from sklearn.model_selection import GroupKFold
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
@@ -39,21 +39,21 @@ def _chance(rows: BoolArray, share: float) -> float:
 
 @dataclass
 class ColumnMemory:
-    """What one column held: rows, rows without a value, the range of numbers, or how often each label occurred."""
+    """What one column held: rows, rows without a value, the range of numbers, how often each label occurred, a zone."""
 
     n: int = 0
     n_missing: int = 0
     low: float = np.inf
     high: float = -np.inf
     labels: dict[str, int] = field(default_factory=dict)
+    zone: bool = False
 
     def learn(self, values: Any) -> None:
         """Take in more rows of the column."""
         present = values[~_missing(values)]
         self.n, self.n_missing = self.n + len(values), self.n_missing + len(values) - len(present)
         if values.dtype.kind == "f":
-            self.low, self.high = present.min(initial=self.low), present.max(initial=self.high)
-            self.low, self.high = float(self.low), float(self.high)
+            self.low, self.high = float(present.min(initial=self.low)), float(present.max(initial=self.high))
         else:
             for label, count in zip(*np.unique(present, return_counts=True), strict=True):
                 self.labels[str(label)] = self.labels.get(str(label), 0) + int(count)
@@ -87,33 +87,26 @@ class TableMemory:
 
     def __init__(self) -> None:
         self.columns: list[ColumnMemory] = []
-        self.zones: list[bool] = []
 
     def learn(self, X: Any) -> None:
         """Take in the rows of a table; what is not a table of numbers, text and dates is passed over."""
         columns = _columns(X)
         self.columns = self.columns or [ColumnMemory() for _ in columns]
-        for memory, values in zip(self.columns, columns, strict=len(columns) > 0):
+        for j, (memory, values) in enumerate(zip(self.columns, columns, strict=len(columns) > 0)):
             memory.learn(values)
-        self.zones = _zones(X)
+            memory.zone = is_frame(X) and has_zone(column_of(X, j))
 
     def compare(self, X: Any) -> tuple[BoolArray, str]:
         """Rows (n,) with a label, or a missing value, where none occurred, and a warning or nothing."""
         unlike, words = np.zeros(X.shape[0], dtype=np.bool_), list[str]()
         texts = [j for j, memory in enumerate(self.columns) if memory.labels]
         for j, (memory, values) in enumerate(zip(self.columns, _columns(X, texts), strict=False)):
-            rows, told = memory.compare(values, X.columns[j] if is_frame(X) else f"column {j}")
+            name = X.columns[j] if is_frame(X) else f"column {j}"
+            rows, told = memory.compare(values, name)
             unlike, words = unlike | rows, words + told
-        for j, (before, now) in enumerate(zip(self.zones, _zones(X), strict=False)):
-            if before != now:
-                words.append(f"{X.columns[j]} had {'a' if before else 'no'} time zone in training")
-        if not words:
-            return unlike, ""
-        return unlike, f"of {counted(len(unlike), 'row')}: {'; '.join(words)}"
-
-
-def _zones(X: Any) -> list[bool]:
-    return [has_zone(column_of(X, j)) for j in range(X.shape[1])] if is_frame(X) else []
+            if memory.zone != (is_frame(X) and has_zone(column_of(X, j))):
+                words.append(f"{name} had {'a' if memory.zone else 'no'} time zone in training")
+        return unlike, f"of {counted(len(unlike), 'row')}: {'; '.join(words)}" if words else ""
 
 
 def _missing(values: Any) -> BoolArray:
@@ -202,9 +195,9 @@ def _doubt_order(X: Any, columns: list[Any], matrix: FloatArray, z: FloatArray) 
 
 def _left_out(matrix: FloatArray, z: FloatArray, units: IntArray) -> FloatArray:
     """Errors (n, d) of a small forest that has not seen the unit of a row."""
-    forest, folds = (
-        ExtraTreesRegressor(10, min_samples_leaf=2, random_state=0),
-        GroupKFold(3, shuffle=True, random_state=0),
-    )
-    predicted = cross_val_predict(forest, matrix, z[:, 0] if z.shape[1] == 1 else z, groups=units, cv=folds)
-    return np.asarray(z - predicted.reshape(z.shape))
+    errors, target = np.empty_like(z), z[:, 0] if z.shape[1] == 1 else z
+    # not cross_val_predict, which takes no groups where the user has metadata routed
+    for train, left_out in GroupKFold(3, shuffle=True, random_state=0).split(matrix, groups=units):
+        forest = ExtraTreesRegressor(10, min_samples_leaf=2, random_state=0).fit(matrix[train], target[train])
+        errors[left_out] = z[left_out] - forest.predict(matrix[left_out]).reshape(-1, z.shape[1])
+    return errors

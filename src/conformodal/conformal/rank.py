@@ -98,19 +98,6 @@ def hierarchical_quantile(units: Sequence[npt.ArrayLike], alpha: Alpha, sizes: S
     return float("inf")
 
 
-def hierarchical_maximum_quantile(units: Sequence[npt.ArrayLike], alpha: Alpha) -> float:
-    """Threshold that all members of a new unit keep below with probability at least ``1 - alpha``.
-
-    The conformal quantile of the units' maxima; parameters and result as for :func:`hierarchical_quantile`.
-
-    Examples
-    --------
-    >>> hierarchical_maximum_quantile([[1, 2, 3, 9], [2, 2, 8], [4, 5]], alpha=0.5)
-    8.0
-    """
-    return float(conformal_quantile([a.max() for a in _as_units(units)], alpha))
-
-
 def _as_units(units: Sequence[npt.ArrayLike]) -> list[FloatArray]:
     try:
         arrays = [as_scores(unit, f"unit {i}").astype(np.float64, copy=False) for i, unit in enumerate(units)]

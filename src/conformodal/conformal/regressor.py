@@ -194,12 +194,12 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self._one_target = values.ndim == 1
         values = as_targets(values)
         labels = None if groups is None else as_labels(groups, len(values))
+        members = None if units is None else as_labels(units, len(values), "units")
         weight = None if sample_weight is None else as_sample_weight(sample_weight, len(values))
         if weight is not None:
-            features, values = rows_of(features, weight > 0), values[weight > 0]
-            labels, weight = None if labels is None else labels[weight > 0], weight[weight > 0]
-            units = None if units is None else np.asarray(units)[np.asarray(sample_weight) > 0]
-        members = None if units is None else as_labels(units, len(values), "units")
+            some = weight > 0
+            features, values, weight = rows_of(features, some), values[some], weight[some]
+            labels, members = (None if of is None else of[some] for of in (labels, members))
         as_choice(self.calibration, Calibration, "calibration")
         as_choice(self.unlike, Unlike, "unlike")
         if members is not None and (labels is not None or self.calibration == "last"):
@@ -395,8 +395,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def _calibrate(
         self, features: Any, values: FloatArray, labels: AnyArray | None, units: AnyArray | None = None
     ) -> None:
+        self.calibrator_.calibrate(self._proba(features), values, units if labels is None else labels)
         if labels is None:
-            self.calibrator_.calibrate(self._proba(features), values, units)
             if np.isinf(self.calibrator_.thresholds_).any():
                 n, beyond = self.calibrator_.n_units, int((self.bins_.encode(values) < 0).any(axis=1).sum())
                 kind = "unit" if units is not None else "sample"
@@ -405,7 +405,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                     why = f"{beyond} of {n} calibration samples have values beyond those learnt from, too many"
                 warnings.warn(f"regions are unbounded: {why} for alpha = {self.calibrator_.alpha}", stacklevel=3)
             return
-        self.calibrator_.calibrate(self._proba(features), values, labels)
         small = {label: self.calibrator_.sizes_[label] for label in self.calibrator_.small_groups}
         if small:
             few = f"{counted(len(small), 'group')} with too few calibration samples"

@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 import numpy.typing as npt
 
-from .checks import Alpha, ConformodalTypeError, as_alpha, brief
+from .checks import Alpha, as_alpha
 from .density.mixture import as_sample_weight
 
 ScorerName = Literal["coverage", "neg_length"]
@@ -61,9 +61,5 @@ def region_scorers(alpha: Alpha = 0.1) -> dict[str, Scorer]:
 
 def _score_regions(estimator: Any, X: Any, y: npt.ArrayLike, name: ScorerName, alpha: Alpha) -> float:
     """Score a fitted regressor, or a pipeline that ends with one, on samples."""
-    end = estimator[-1] if hasattr(estimator, "steps") else estimator
-    if not hasattr(end, "predict_region"):
-        wanted = "a ConformalRegressor or a pipeline that ends with one"
-        raise ConformodalTypeError(f"estimator must be {wanted}, got {brief(estimator)}")
     regions = estimator.predict(X, region=True, alpha=alpha)
     return float(regions.contains(y).mean() if name == "coverage" else -regions.length.mean())

@@ -101,15 +101,6 @@ def test_online_sets_keep_the_bound_of_their_tracker(method, bound, score):
     assert abs(share[-1] - 0.1) <= bound
 
 
-def test_the_default_is_the_method_with_the_bound():
-    bins = QuantileBins.from_edges([[0, 1, 2], [0, 1, 2]])
-    trackers = OnlineConformal(bins, 0.1).trackers
-    assert [type(tracker) for tracker in trackers] == [Aci, Aci]
-    # PID that saturates at 5 t / log(t) misses thousands in a row
-    assert abs(play(trackers[0], just_above, 8000).mean() - 0.1) <= (0.9 + 0.005) / (0.005 * 8000)
-    assert abs(play(ConformalPid(0.1), just_above, 8000).mean() - 0.1) <= (pi / 2 * sqrt(8000) + 1) / 8000
-
-
 @pytest.mark.parametrize("make", [Aci, ConformalPid])
 def test_a_window_bounds_what_is_kept(make):
     tracker = make(0.1, window=50)

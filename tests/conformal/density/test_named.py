@@ -85,7 +85,7 @@ def grown(weight):
     X = rng.uniform(-1, 1, (300, 2))
     y = X[:, 0] + 0.1 * rng.standard_normal(300)
     groups, at = group_values(y)
-    forest = LeafForest(ExtraTreesRegressor, 20, 5, 0, None)
+    forest = LeafForest(ExtraTreesRegressor, 20, 5, 0)
     rows = np.arange(0, 300, 3)
     return forest.fit(X, rank_cosines(y, 4), y, weight, [(groups, at)], rows), X, y, groups, rows
 

@@ -12,7 +12,7 @@ from fractions import Fraction
 from math import ceil, inf, isnan, pi, sqrt, tan
 from numbers import Real
 from sys import float_info
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -172,18 +172,7 @@ def _clipped(value: float) -> float:
     return min(max(value, -_MOST), _MOST)
 
 
-@runtime_checkable
-class Tracker(Protocol):
-    """A method that turns a stream of scores into thresholds, one before each score.
-
-    Of the thresholds, ``inf`` stands for an unbounded set, ``-inf`` for the empty set.
-    """
-
-    def threshold(self) -> float: ...  # noqa: D102
-    def update(self, score: float) -> None: ...  # noqa: D102
-
-
-METHODS: dict[str, Callable[[Alpha], Tracker]] = {"aci": Aci, "pid": ConformalPid}
+METHODS: dict[str, Callable[[Alpha], Any]] = {"aci": Aci, "pid": ConformalPid}
 
 
 class OnlineConformal:
@@ -202,7 +191,8 @@ class OnlineConformal:
     bins, alpha, score
         As in :class:`~conformodal.conformal.calibrators.base.Calibrator`; the rate is per target.
     method
-        ``"aci"`` or ``"pid"`` with their defaults, or a function that makes a :class:`Tracker` from alpha. ``"aci"``
+        ``"aci"`` or ``"pid"`` with their defaults, or a function that makes a tracker from alpha: an object with
+        ``threshold()``, ``inf`` for an unbounded set and ``-inf`` for the empty one, and ``update(score)``. ``"aci"``
         stores all past scores, about 40 bytes per sample and target; ``lambda alpha: Aci(alpha, window=1000)`` stores
         the last thousand and has the same bound.
     empty
@@ -215,16 +205,16 @@ class OnlineConformal:
         bins: QuantileBins,
         alpha: Alpha = 0.1,
         score: str | Score = "lac",
-        method: str | Callable[[Alpha], Tracker] = "aci",
+        method: str | Callable[[Alpha], Any] = "aci",
         empty: Empty = "allow",
     ) -> None:
         self._sets = Calibrator(bins, alpha, score, "none", empty)
         self._sets.check_parameters()
-        make: Any = METHODS.get(method) if isinstance(method, str) else method
+        make = METHODS.get(method) if isinstance(method, str) else method
+        if not callable(make):
+            raise ConformodalError(f"method must be one of {sorted(METHODS)} or a function, got {brief(method)}")
         self.bins = bins
-        self.trackers: list[Any] = [make(as_alpha(alpha)) if callable(make) else None for _ in range(bins.n_targets)]
-        if not all(isinstance(tracker, Tracker) for tracker in self.trackers):
-            raise ConformodalError(f"method must be one of {sorted(METHODS)} or make a Tracker, got {brief(method)}")
+        self.trackers = [make(as_alpha(alpha)) for _ in range(bins.n_targets)]
 
     @property
     def thresholds(self) -> FloatArray:

@@ -122,10 +122,8 @@ def columns_of(X: Any, text: Collection[int] = ()) -> list[AnyArray]:
 class TableEncoder:
     """Columns of any table as finite numbers, for learners that need them.
 
-    Numbers stay, dates count days. A missing number becomes the median of its column, and a column of its own marks it
-    if any was missing in training. Text and categories become one column per label, for up to 20 labels that occur in
-    two rows or more; other labels are zero in all of them. A column without any value in training is zero, whatever
-    comes.
+    A missing number becomes the median of its column, and a column of its own marks it if any was missing in training.
+    Text becomes one column per frequent label. A column without any value in training is zero, whatever comes.
     """
 
     def fit(self, X: Any) -> Self:

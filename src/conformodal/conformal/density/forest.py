@@ -21,18 +21,15 @@ Groups: TypeAlias = tuple[IntArray, FloatArray]
 
 
 class LeafForest:
-    """Weights over several groupings of training values, which share the trees.
+    """Weights over several groupings of training values, which share the trees; `kind` is a forest of scikit-learn.
 
-    `kind` is ``RandomForestRegressor`` or the faster ``ExtraTreesRegressor`` of scikit-learn, which splits at random
-    cuts (Geurts, Ernst and Wehenkel 2006); both draw bootstrap samples.
-
-    `out_of_bag_` holds, per grouping, the weights (m, G) of the requested rows by trees that did not see them; rows sum
-    to one. `out_of_bag_mean_` (n,) is the mean of the values by trees that did not see the row.
+    `out_of_bag_` holds, per grouping, the weights (m, G) of the requested rows by trees that did not see them;
+    `out_of_bag_mean_` (n,) is the mean of the values by trees that did not see the row.
     """
 
-    def __init__(self, kind: Any, n_trees: int, min_samples_leaf: int, random_state: int, n_jobs: int | None) -> None:
+    def __init__(self, kind: Any, n_trees: int, min_samples_leaf: int, random_state: int) -> None:
         options = {"min_samples_leaf": min_samples_leaf, "max_features": 0.5, "bootstrap": True}
-        self.forest = kind(n_trees, random_state=random_state, n_jobs=n_jobs, **options)
+        self.forest = kind(n_trees, random_state=random_state, **options)
 
     def fit(
         self,

@@ -173,11 +173,8 @@ class SmoothedClassifier:
 class BinSmoothing:
     """A mixture of a classifier's smoothed probabilities, Gaussians around their mean, and the bins' frequencies.
 
-    Gaussians are over bin numbers, of several widths. A bin of one repeated value, several times as frequent as the
-    bins beside it (such as zeros in a continuous target), exchanges no probability with others. Until :meth:`tune` is
-    called, all components weigh the same.
-
-    `y` (n,) are training values, `weight` their weights or None.
+    A bin of one repeated value, several times as frequent as the bins beside it (such as zeros in a continuous target),
+    exchanges no probability with others. Until :meth:`tune` is called, all components weigh the same.
     """
 
     def __init__(self, y: FloatArray, edges: FloatArray, weight: FloatArray | None) -> None:
@@ -193,10 +190,7 @@ class BinSmoothing:
         self.weights = np.full(_N_COMPONENTS, 1 / _N_COMPONENTS)
 
     def tune(self, proba: FloatArray, y: FloatArray, edges: FloatArray, weight: FloatArray | None) -> None:
-        """Set the weights of the components by the likelihood of left-out values; each keeps a share of one row.
-
-        `proba` (m, K) are out-of-fold probabilities, `y` (m,) the values and `weight` (m,) of the rows, or None.
-        """
+        """Set the weights of the components by the likelihood of left-out values; each keeps a share of one row."""
         codes, widths = nearest_bins(y, edges), np.diff(edges)
         components = [log_density(self._component(proba, i), codes, widths) for i in range(self.weights.size)]
         likeliest = mixture_weights(np.column_stack(components), weight)

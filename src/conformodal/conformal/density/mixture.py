@@ -112,11 +112,10 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
         by_forest: list[FloatArray],
         validation: IntArray,
     ) -> None:
-        """Choose every component's bandwidth, then the weights, by the likelihood of held-out values.
+        """Choose every component's bandwidth, then the weights, by the likelihood of the `validation` rows (m,).
 
-        `z` and `weight` are of :meth:`_standardise`; `place` are location and spread (n,) of every row, out of fold;
-        `groups` are of the values and of the scaled residuals; `by_forest` are the out-of-bag weights (m, G) of the
-        three forests for the `validation` rows (m,).
+        `place` are location and spread (n,), out of fold; `groups` are of the values and of the scaled residuals;
+        `by_forest` are out-of-bag weights (m, G).
         """
         loc, spread = place
         scaled = (z - loc) / spread

@@ -67,8 +67,8 @@ class QuickDensity(MixtureDensity):
 
     Parameters
     ----------
-    random_state, n_jobs
-        Seed, or None; parallel jobs of the forests, as in scikit-learn.
+    random_state
+        Seed, or None.
 
     Attributes
     ----------
@@ -87,9 +87,8 @@ class QuickDensity(MixtureDensity):
     (1, 3)
     """
 
-    def __init__(self, random_state: Any = None, n_jobs: int | None = None) -> None:
+    def __init__(self, random_state: Any = None) -> None:
         self.random_state = random_state
-        self.n_jobs = n_jobs
 
     def fit_bins(
         self, X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None
@@ -109,7 +108,7 @@ class QuickDensity(MixtureDensity):
         n_trees, n_folds = next(both for most, *both in _TREES_AND_FOLDS if n <= most)
         with threadpool_limits(1):  # waiting threads spin: on a busy core that costs minutes
             values = group_values(z)
-            direct = LeafForest(ExtraTreesRegressor, n_trees, 3, seed, self.n_jobs)
+            direct = LeafForest(ExtraTreesRegressor, n_trees, 3, seed)
             direct.fit(features, rank_cosines(z, 4), z, weight, [values], validation)
             means, members = direct.out_of_bag_mean_, quick_members(n, seed)
             self.location_ = Location().fit(members, features, z, weight, folds_of(n, seed, n_folds), means)
@@ -120,7 +119,7 @@ class QuickDensity(MixtureDensity):
             spread = np.exp(log_spreads)
             scaled = (z - loc) / spread
             residuals = group_values(scaled)
-            guided = LeafForest(ExtraTreesRegressor, n_trees, 5, seed + 1, self.n_jobs)
+            guided = LeafForest(ExtraTreesRegressor, n_trees, 5, seed + 1)
             both = np.column_stack((rank_cosines(scaled, 2), rank_cosines(z, 4)))
             guided.fit(extended, both, z, weight, [residuals, values], validation)
         self.forests_ = guided, direct
@@ -142,8 +141,8 @@ class StackedDensity(MixtureDensity):
     ----------
     n_trees
         Trees of each of the forests.
-    random_state, n_jobs
-        Seed, or None; parallel jobs of forests and networks, as in scikit-learn.
+    random_state
+        Seed, or None.
 
     Attributes
     ----------
@@ -151,10 +150,9 @@ class StackedDensity(MixtureDensity):
     weights_ : (5,) of the mixture, in the order of `QuickDensity`
     """
 
-    def __init__(self, n_trees: int = 100, random_state: Any = None, n_jobs: int | None = None) -> None:
+    def __init__(self, n_trees: int = 100, random_state: Any = None) -> None:
         self.n_trees = n_trees
         self.random_state = random_state
-        self.n_jobs = n_jobs
 
     def fit_bins(self, X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike) -> Self:
         """Learn the density of `y` (n,) given `X`, any table (n, p), over bins with `edges` (K + 1,)."""
@@ -164,12 +162,12 @@ class StackedDensity(MixtureDensity):
             warnings.simplefilter("ignore", ConvergenceWarning)
             warnings.filterwarnings("ignore", message="Some inputs do not have OOB scores")
             warnings.filterwarnings("ignore", category=RuntimeWarning, message="invalid value encountered")
-            members, folds = stacked_members(n, seed, self.n_jobs), folds_of(n, seed, 5)
+            members, folds = stacked_members(n, seed), folds_of(n, seed, 5)
             self.location_ = Location().fit(members, features, z, weight, folds)
             summary = self.location_.summary(self.location_.out_of_fold_)
             extended, residual = np.column_stack((features, summary)), z - summary[:, 0]
             self.spread_ = RandomForestRegressor(
-                2 * self.n_trees, min_samples_leaf=10, max_features=0.5, random_state=seed, n_jobs=self.n_jobs
+                2 * self.n_trees, min_samples_leaf=10, max_features=0.5, random_state=seed
             ).set_params(oob_score=_oob_mean)
             self.spread_.fit(extended, log_spread(residual))
         predicted = self.spread_.oob_prediction_
@@ -177,7 +175,7 @@ class StackedDensity(MixtureDensity):
         spread = np.exp(np.where(np.isfinite(predicted), predicted, mean))
         values, residuals = group_values(z), group_values(residual / spread)
         self.forests_ = tuple(
-            LeafForest(RandomForestRegressor, self.n_trees, least, seed, self.n_jobs).fit(
+            LeafForest(RandomForestRegressor, self.n_trees, least, seed).fit(
                 given, rank_cosines(of, 4), of, weight, [groups], np.arange(n)
             )
             for least, given, of, groups in (
@@ -206,10 +204,7 @@ class Location:
     def fit(
         self, members: list[Maker], X: FloatArray, y: FloatArray, weight: FloatArray, folds: Folds, forest: Any = None
     ) -> Self:
-        """Fit on features (n, p), values (n,) of about unit spread and weights.
-
-        `members` make untrained regressors. `forest` (n,) are out-of-bag means of a forest, one more member.
-        """
+        """Fit untrained `members`; `forest` (n,) are out-of-bag means of one more."""
         fits = [fit_out_of_fold(member, X, y, weight, folds) for member in members]
         self._models = [model for _, model in fits]
         self._with_forest = forest is not None
@@ -220,7 +215,7 @@ class Location:
         return self
 
     def predict(self, X: FloatArray, forest: FloatArray) -> FloatArray:
-        """:meth:`summary` of the predictions for new samples; `forest` are the forest's means (n,)."""
+        """:meth:`summary` of the predictions for new samples."""
         predictions = [model.predict(X) for model in self._models]
         return self.summary(np.column_stack([*predictions, forest] if self._with_forest else predictions))
 
@@ -237,7 +232,7 @@ def quick_members(n: int, seed: int) -> list[Maker]:
     return members
 
 
-def stacked_members(n: int, seed: int, n_jobs: int | None) -> list[Maker]:
+def stacked_members(n: int, seed: int) -> list[Maker]:
     """Boosted trees, random trees, networks and, on small tables, an exact Gaussian process."""
 
     def networks(decay: float, rate: float) -> Maker:
@@ -249,14 +244,17 @@ def stacked_members(n: int, seed: int, n_jobs: int | None) -> list[Maker]:
             n_iter_no_change=1000,  # no early stopping: the folds of the stack guard against overfitting
             random_state=seed,
         )
-        options: Any = {"bootstrap": False, "n_jobs": n_jobs, "random_state": seed}
-        return lambda: make_pipeline(StandardScaler(), BaggingRegressor(one, _NETWORKS, **options))
-
-    def trees() -> Any:
-        return ExtraTreesRegressor(200, n_jobs=n_jobs, random_state=seed)
+        return lambda: make_pipeline(
+            StandardScaler(), BaggingRegressor(one, _NETWORKS, bootstrap=False, random_state=seed)
+        )
 
     boosters = [boosting(0.05, 500, 31, 10, n, seed), boosting(0.05, 1000, 8, 5, n, seed)]
-    members = [*boosters, trees, networks(1e-3, 5e-3), networks(0.1, 1e-2)]
+    members = [
+        *boosters,
+        lambda: ExtraTreesRegressor(200, random_state=seed),
+        networks(1e-3, 5e-3),
+        networks(0.1, 1e-2),
+    ]
     if n <= _PROCESS_ROWS:
         members.append(lambda: make_pipeline(StandardScaler(), _AnisotropicProcess()))
     return members
