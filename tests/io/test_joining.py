@@ -50,6 +50,10 @@ def test_images_of_another_camera_are_brought_to_the_first(sequence, tmp_path, m
     assert whole.camera == sequence.camera
     assert whole.image(3).shape == sequence.image(3).shape
     assert [what for what, _ in whole.notes] == ["images of another camera are brought to one"]
+    brought, cached = whole.image(3), whole.image_paths[3]
+    cached.write_bytes(cached.read_bytes()[:-20])  # made again
+    again = join_recordings([part(sequence, 0, 2), part(sequence, 2, 4, camera=other)])
+    np.testing.assert_array_equal(again.image(3), brought)
 
 
 def test_a_frame_in_two_data_sets_and_two_units_are_refused(sequence):

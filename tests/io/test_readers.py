@@ -217,11 +217,15 @@ def nerf(root, *, name="transforms.json", top=None, frames=None):
     [
         (dict.fromkeys(("camera_angle_x", "cx", "cy")), {"fl_x": 40, "fl_y": 41, "w": 64, "h": 48}, (40, 41)),
         ({"fl_x": 40, "fl_y": 41, "k1": -0.1, "p2": 0.002}, {"camera_angle_x": None}, (40, 41)),
+        ({"camera_angle_x": None, "fl_x": 80, "fl_y": 82, "cx": 65, "cy": 49, "w": 128, "h": 96}, {}, (40, 41)),
     ],
 )
 def test_cameras_of_nerf_are_those_of_the_frame_or_the_file(tmp_path, top, frame, focal):
     right(recording := read_recording(nerf(tmp_path, top=top, frames=[frame] * N)))
     assert (recording.camera.fx, recording.camera.fy) == pytest.approx(focal)
+    assert (recording.camera.cx, recording.camera.cy) == (
+        (31.5, 23.5) if "cx" in top and top["cx"] is None else (32, 24)
+    )
     assert recording.camera.distortion == ((-0.1, 0, 0, 0.002) if "k1" in top else ())
 
 
