@@ -155,7 +155,7 @@ def add_trajectories(
         greedily = []
         for at in pieces:
             path = Greedy()
-            greedily += [path.push(intervals[t], run.motions[t], float(times[t])) for t in at]
+            greedily += [path.push(intervals[t], run.estimates[t].relative_motion, float(times[t])) for t in at]
         found["greedy"] = as_trajectory(PosePath.concatenate(greedily))
         found["tuned_smoothed"] = tuned.smoothed(features, run, recording, model.prior)
         for name, baseline in trained.baselines.items():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from conformodal.io import SplitError, SplitKind, frames_to_known, held_out_together, make_split
+from conformodal.io import SplitError, SplitKind, held_out_together, make_split
 
 
 @pytest.mark.parametrize("kind", ["interleaved", "blocks"])
@@ -106,15 +106,6 @@ def test_calibration_frames_drawn_at_random_come_from_every_training_recording(k
     for number in np.unique(recording[both]):
         share = np.isin(both[recording[both] == number], drawn.calibration).mean()
         assert share == pytest.approx(0.2, abs=0.1)
-
-
-def test_frames_to_known_agrees_with_all_pairs():
-    recording = np.repeat([0, 1, 2], [40, 25, 60])
-    split = make_split(recording, "blocks", seed=3)
-    known = np.concatenate((split.train, split.calibration))
-    away = np.abs(split.test[:, None] - known).astype(float)
-    away[recording[split.test][:, None] != recording[known]] = np.inf
-    np.testing.assert_array_equal(frames_to_known(split, recording), away.min(axis=1))
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from conformodal.geometry import angle_between_quats
-from conformodal.localizer import LocalizationError
 from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.filter import ALIKE, PoseFilter, filter_posteriors, hindsight_posteriors, predict, update
 from conformodal.localizer.observations import Observations, Posterior, choose_places, find_places
@@ -199,15 +198,3 @@ def test_a_stream_with_a_long_lag_ends_with_the_posteriors_of_the_whole_recordin
     whole = hindsight_posteriors(seen, PRIOR)
     for found, expected in zip(stream.window().hindsight(PRIOR), whole, strict=True):
         same(found, expected)
-
-
-def test_what_a_stream_cannot_use_is_refused():
-    with pytest.raises(LocalizationError, match="lag"):
-        PoseFilter(PRIOR, -1)
-    pose_filter = PoseFilter(PRIOR)
-    one = hypotheses([0.0], [1.0])
-    pose_filter.push(one, None, 1.0)
-    with pytest.raises(LocalizationError, match="increase"):
-        pose_filter.push(one, None, 1.0)
-    pose_filter.reset()
-    pose_filter.push(one, None, 1.0)

@@ -42,8 +42,6 @@ class Part(StrEnum):
     """Which frames of a source to answer."""
 
     ALL = "all"
-    TRAIN = "train"
-    CALIBRATION = "calibration"
     TEST = "test"
 
 
@@ -73,9 +71,9 @@ def part_frames(model: PoseModel, sequence: Recording, part: Part) -> IntArray |
     """
     if part is Part.ALL:
         return None
-    rows, here = model.split.part(str(part)), identify(sequence)
+    rows, here = model.split.test, identify(sequence)
     at = model.known_frames.find(here)[rows]
-    n, where = counted(len(rows), "frame"), f"the {part} part of {model.configuration['data']}"
+    n, where = counted(len(rows), "frame"), f"the test part of {model.configuration['data']}"
     n_missing, rows, at = int((at < 0).sum()), rows[at >= 0], at[at >= 0]
     if not len(at):
         raise OdometryError(f"{sequence.name}: has none of the {n} of {where}; give that data set or run on all")
@@ -145,10 +143,10 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
     model, runner, part, split = answers.model, answers.runner, answers.part, answers.model.split
     note, every = "all frames of the source (training frames among them, if the source is the training data).", False
     if part is not Part.ALL:
-        n_part = len(split.part(str(part)))
+        n_part = len(split.test)
         every = runner.n_answered == n_part
         some = "" if every else f"{runner.n_answered} of {counted(n_part, 'frame')} of "
-        note = f"{some}the {part} part of split {split.kind}, seed {split.seed}."
+        note = f"{some}the test part of split {split.kind}, seed {split.seed}."
     metrics: dict[str, Any] = {
         "command": "run",
         "provenance": provenance(),
@@ -178,9 +176,8 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
         if recognised.any() and not recognised.all():
             subset = {name: path[recognised] for name, path in paths.items()}
             metrics["errors_known_places"] = error_table(subset, truth[recognised])
-        exchangeable = answers.whole and part is Part.TEST and every and model.frames_are_exchangeable
-        seen = part in (Part.TRAIN, Part.CALIBRATION)
-        metrics["coverage"] = coverage_table(runner.statistics, model, exchangeable=exchangeable, seen=seen)
+        exchangeable = answers.whole and every and model.frames_are_exchangeable
+        metrics["coverage"] = coverage_table(runner.statistics, model, exchangeable=exchangeable)
         metrics["path_coverage"] = runner.path_coverage
     return metrics
 

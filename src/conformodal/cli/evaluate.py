@@ -71,7 +71,8 @@ def evaluate(
         clock = doubt_clock(result.answer, true_poses)
         reasons = [f"{truth.name}: {reason}" for reason in (*doubts.reasons, clock) if reason]
         if doubts.positions_only:
-            errors = {name: _without_orientations(row) for name, row in errors.items()}
+            # relative errors and the recall need orientations
+            errors = {name: {key: row[key] for key in ("rmse_m", "median_m")} for name, row in errors.items()}
         elif alignment in (Alignment.SE3, Alignment.SIM3):
             reasons += filter(None, [straightness(matched, next(iter(errors.values()))["rmse_m"])])
         # regions lie in the world of the answer: there the truth is brought by what brings it nearest to the answer
@@ -105,11 +106,6 @@ def evaluate(
     print_errors(errors, f"against {truth.name}{aligned_by}", unit)
     report_line(describe_coverage(coverage))
     print_where(out / "evaluation")
-
-
-def _without_orientations(row: dict[str, Any]) -> dict[str, Any]:
-    """Errors of positions alone; relative ones and the recall need orientations."""
-    return {name: value for name, value in row.items() if name in ("rmse_m", "median_m")}
 
 
 def _coverage(

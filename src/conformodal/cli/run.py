@@ -50,7 +50,7 @@ def run(
     ],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
     layout: DataLayout = Layout.AUTO,
-    part: Annotated[Part, typer.Option(help="Frames to answer: all, or a part of the model's own data set.")] = (
+    part: Annotated[Part, typer.Option(help="Frames to answer: all, or the test part of the model's own data set.")] = (
         Part.ALL
     ),
     alpha: Annotated[float | None, typer.Option(help="Another miscoverage rate than the model was saved with.")] = None,

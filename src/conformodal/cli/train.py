@@ -13,10 +13,10 @@ import typer
 
 from conformodal.core.extras import require_extra
 from conformodal.core.progress import StageProgress
-from conformodal.core.words import counted, finite_or_none
+from conformodal.core.words import counted
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import NETWORKS, TrainingConfig
-from conformodal.io import Layout, Recording, SplitKind, frames_to_known
+from conformodal.io import Layout, Recording, SplitKind
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
 from conformodal.pipeline.guarantee import describe_guarantee, guarantees
 from conformodal.pipeline.model import PoseModel
@@ -139,7 +139,7 @@ def train_on(
     started = time.perf_counter()
     model = train_model(sequence, config, cache=features, progress=report)
     save_model(model, out)  # at the end: until then, a model that was there before is whole
-    split = _split_record(model, sequence)
+    split = _split_record(model)
     quality = None
     if config.method is not Method.PAPER:  # whose system has no more to say
         quality = examine(sequence, model, just_trained=True, cache=features)
@@ -157,7 +157,11 @@ def train_on(
         "seconds": round(time.perf_counter() - started, 2),
     }
     write_metrics(out, metrics)
-    for line in [*_describe_split(sequence.name, split), *_describe_model(model)]:
+    report_line(
+        f"{sequence.name}: {counted(split['train'], 'frame')} for training, {split['calibration']} for calibration, "
+        f"{split['test']} held out for testing (split {split['kind']}, seed {split['seed']})"
+    )
+    for line in _describe_model(model):
         report_line(line)
     if split["n_test_same_picture"]:
         report_line(
@@ -175,28 +179,16 @@ def train_on(
     return model
 
 
-def _split_record(model: PoseModel, sequence: Recording) -> dict[str, Any]:
-    """The parts of the data set for ``metrics.json``, and how near test frames are to training or calibration ones."""
+def _split_record(model: PoseModel) -> dict[str, Any]:
+    """The parts of the data set for ``metrics.json``, and how many test frames are copies of others."""
     split, frames = model.split, model.known_frames
     used = frames.take(np.concatenate((split.train, split.calibration)))
-    away = frames_to_known(split, sequence.recording)
     return {
         "kind": str(split.kind),
         "seed": split.seed,
         **{name: len(split.part(name)) for name in ("train", "calibration", "test")},
-        "median_frames_to_known": finite_or_none(float(np.median(away))),
         "n_test_same_picture": int(used.known(frames.take(split.test)).sum()),
     }
-
-
-def _describe_split(name: str, split: dict[str, Any]) -> list[str]:
-    lines = [
-        f"{name}: {counted(split['train'], 'frame')} for training, {split['calibration']} for calibration, "
-        f"{split['test']} held out for testing (split {split['kind']}, seed {split['seed']})"
-    ]
-    if (median := split["median_frames_to_known"]) is not None:
-        lines.append(f"test frames lie a median of {median:g} frames from the nearest training or calibration frame")
-    return lines
 
 
 def _describe_model(model: PoseModel) -> list[str]:

@@ -16,7 +16,7 @@ from .errors import DatasetError, DatasetWarning, ImageError, SplitError
 from .frame_table import FrameTable
 from .recording import ImageChange, Recording
 from .registry import Layout, Reader, read_recording, readers, recognise
-from .splits import Split, SplitKind, frames_to_known, held_out_together, make_split, with_random_calibration
+from .splits import Split, SplitKind, held_out_together, make_split, with_random_calibration
 
 __all__ = [
     "THUMBNAIL",
@@ -34,7 +34,6 @@ __all__ = [
     "SplitError",
     "SplitKind",
     "check_recording",
-    "frames_to_known",
     "held_out_together",
     "make_split",
     "read_image",

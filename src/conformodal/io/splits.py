@@ -15,7 +15,7 @@ from math import ceil
 
 import numpy as np
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray, rows_by_label
+from conformodal.core.arrays import BoolArray, IntArray, rows_by_label
 from conformodal.core.ranges import as_member, check_ranges, check_shares
 from conformodal.core.words import counted
 
@@ -112,23 +112,6 @@ def held_out_together(recording: IntArray, kind: SplitKind | str, given_test: Bo
     for number, frames in enumerate([*free, *listed]):
         piece[frames] = number
     return piece
-
-
-def frames_to_known(split: Split, recording: IntArray) -> FloatArray:
-    """How many frames (m,) each test frame lies from the nearest training or calibration frame of its recording.
-
-    Infinite where a recording is held out whole. `recording` (n,) is the recording that each frame belongs to.
-    """
-    shown = np.sort(np.concatenate((split.train, split.calibration)))
-    distances = np.full(len(split.test), np.inf)
-    for rows in rows_by_label(recording[split.test]):
-        tested = split.test[rows]
-        frames = shown[recording[shown] == recording[tested[0]]]
-        if frames.size:
-            after = np.searchsorted(frames, tested)
-            left, right = frames[np.maximum(after - 1, 0)], frames[np.minimum(after, frames.size - 1)]
-            distances[rows] = np.minimum(np.abs(tested - left), np.abs(tested - right))
-    return distances
 
 
 def with_random_calibration(split: Split, share: float) -> Split:

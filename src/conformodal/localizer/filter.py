@@ -25,7 +25,6 @@ from scipy.spatial.transform import Rotation
 from conformodal.core.arrays import FloatArray
 from conformodal.geometry import RelativeMotion
 
-from . import LocalizationError
 from .candidates import MOST, Candidates
 from .observations import PLACE_RAD, MotionPrior, Observations, Posterior, rotation_sigma
 
@@ -295,8 +294,6 @@ class PoseFilter:
 
     def __init__(self, prior: MotionPrior, lag: int = LAG) -> None:
         """From the speeds and turning rates to expect; :meth:`window` holds `lag` frames before the newest."""
-        if lag < 0:
-            raise LocalizationError(f"lag must be at least 0 frames, got {lag}")
         self.prior = prior
         self._steps: deque[_Step] = deque(maxlen=lag + 1)
 
@@ -316,8 +313,6 @@ class PoseFilter:
         else:
             before = self._steps[-1]
             step_s = timestamp_s - before.timestamp_s
-            if not step_s > 0:
-                raise LocalizationError(f"timestamps must increase: {timestamp_s} s follows {before.timestamp_s} s")
             ahead = predict(before.posterior, motion, step_s, self.prior)
             posterior = weigh(ahead, evidence, self.prior, known=known, share=new_share(step_s))
         self._steps.append(_Step(evidence, known, motion, timestamp_s, posterior))

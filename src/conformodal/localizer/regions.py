@@ -350,10 +350,6 @@ class PlaceNovelty:
             return None
         return cls(NoveltyTest(coarse_features(features, grid).astype(np.float16), pieces), grid)
 
-    def calibrated(self, distances: FloatArray, recognition: FloatArray, groups: IntArray) -> NoveltyTest:
-        """A test on what held-out frames (m,), exchangeable in their groups, are like with local features."""
-        return self.test.rescored(self.ranked(distances, recognition), groups)
-
     @staticmethod
     def ranked(distances: FloatArray, recognition: FloatArray) -> FloatArray:
         """Novelty scores of images whose local features were matched: below 0 where a place was recognised."""

@@ -18,7 +18,6 @@ from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.geometry import RelativeMotion, Submap, matrix_from_quat_wxyz
 from conformodal.geometry.adjustment import cauchy
 
-from . import LocalizationError
 from .observations import MotionPrior, Observations, PosePath, rotation_sigma, same_place
 
 _UNKNOWNS = 7  # of a submap's alignment with the world: start (3), scale, rotation (3)
@@ -142,8 +141,6 @@ def smooth_positions(
     n = len(positions_xyz)
     if n < 3:
         return positions_xyz.copy()
-    if not (spreads > 0).all():
-        raise LocalizationError("spreads must be positive")
     dt = np.diff(timestamps_s)
     second = _second_differences(dt)
     step = (dt[1:] + dt[:-1]) / 2

@@ -114,7 +114,8 @@ def _novelty_of_held_out(
     if beliefs is None:
         return novelty, known_p
     units = np.arange(len(held_out)) if folds.units is None else folds.units[held_out]
-    matched = novelty.calibrated(distances, np.concatenate([one.recognition for one in beliefs]), units)
+    recognition = np.concatenate([one.recognition for one in beliefs])
+    matched = test.rescored(novelty.ranked(distances, recognition), units)
     return replace(novelty, matched=matched), matched.left_out_p_values()
 
 

@@ -22,77 +22,42 @@ from .model import Localization, PoseModel
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The estimate of one frame of a stream; what rests on an image is None where the frame has none.
-
-    Attributes
-    ----------
-    timestamp_s
-        Seconds.
-    pose
-        The mean of the most probable place given all frames so far, as a trajectory of one. A point estimate: the
-        guarantee is the region's.
-    region
-        Calibrated region of this frame alone (length 1). Where landmarks were looked for, it rests on them too, and is
-        smaller.
-    candidates
-        Hypotheses of this image alone.
-    relative_motion
-        Motion since the last usable frame, or None.
-    reliable, problem
-        False where image or motion could not be used, the image shows no place that is known, or other places than the
-        chosen one are probable; and why.
-    localization
-        Belief and region of this frame alone.
-    tracks
-        Corners of the last answered frame, or of a later one where corners were renewed, and the same ones here, (m, 2)
-        pixels each.
-    corners
-        All corners here.
-    estimates
-        Absolute pose estimates from landmarks, one per retrieval cluster; empty where there are none.
-    known_p
-        Conformal p-value of "this image shows a place that is known"; None where images are not tested. The region is
-        unbounded where it is small.
-    evidence
-        What the region rests on.
-    position_spread_m, orientation_spread_rad
-        Standard deviations of the most probable place. They grow while motion alone tells where the camera is.
-    posterior
-        Hypotheses given all frames so far, and the probability that none is right.
-    places
-        The places that they make up, most probable first; the first gives the pose.
-    path_region
-        Calibrated region from all frames so far (length 1); None where the model has none.
-    revise
-        Called for :attr:`revised`.
-    """
+    """The estimate of one frame of a stream; what rests on an image is None where the frame has none."""
 
     timestamp_s: float
+    # the mean of the most probable place given all frames so far, as a trajectory of one. A point estimate: the
+    # guarantee is the region's
     pose: Trajectory | None
+    # calibrated region of this frame alone (length 1); where landmarks were looked for, it rests on them too
     region: PoseRegions | None
-    candidates: Candidates | None
-    relative_motion: RelativeMotion | None
+    candidates: Candidates | None  # hypotheses of this image alone
+    relative_motion: RelativeMotion | None  # since the last usable frame
+    # whether image and motion could be used, the image shows a known place, and no other place is probable; and why not
     reliable: bool
     problem: str = ""
-    localization: Localization | None = None
+    localization: Localization | None = None  # belief and region of this frame alone
+    # corners of the last answered frame, or of a later one where corners were renewed, and the same ones here, (m, 2)
+    # pixels each
     tracks: tuple[FloatArray, FloatArray] | None = None
-    corners: Corners | None = None
-    estimates: list[PoseMeasurement] = field(default_factory=list)
+    corners: Corners | None = None  # all corners here
+    estimates: list[PoseMeasurement] = field(default_factory=list)  # from landmarks, one per retrieval cluster
+    # conformal p-value of "this image shows a place that is known"; None where images are not tested
     known_p: float | None = None
-    evidence: EvidenceType | None = None
+    evidence: EvidenceType | None = None  # what the region rests on
+    # standard deviations of the most probable place; they grow while motion alone tells where the camera is
     position_spread_m: float | None = None
     orientation_spread_rad: float | None = None
-    posterior: Posterior | None = None
-    places: list[Place] = field(default_factory=list)
-    path_region: PoseRegions | None = None
-    revise: Callable[[], Trajectory] | None = None
+    posterior: Posterior | None = None  # hypotheses given all frames so far
+    places: list[Place] = field(default_factory=list)  # that they make up, most probable first; the first is the pose
+    path_region: PoseRegions | None = None  # calibrated region from all frames so far (length 1)
+    revise: Callable[[], Trajectory] | None = None  # called for `revised`
 
     @property
     def covariance(self) -> FloatArray | None:
         """(6, 6) of the posterior about :attr:`pose`, all places together; None without an image.
 
-        For the axes see :func:`~conformodal.localizer.candidates.mixture_covariance`; that of the chosen place alone is
-        ``places[0].covariance``. Where no hypothesis of the posterior is right, those of the image alone stand.
+        For the axes see :func:`~conformodal.localizer.candidates.mixture_covariance`. Where no hypothesis of the
+        posterior is right, those of the image alone stand.
         """
         if self.pose is None or self.candidates is None:
             return None
@@ -131,11 +96,6 @@ class OdometryRun:
     def timestamps_s(self) -> FloatArray:
         """(m,) seconds."""
         return np.array([estimate.timestamp_s for estimate in self.estimates])
-
-    @property
-    def motions(self) -> list[RelativeMotion | None]:
-        """Motion to each frame from the one before; None for the first of a recording."""
-        return [estimate.relative_motion for estimate in self.estimates]
 
     @property
     def regions(self) -> PoseRegions:

@@ -29,7 +29,6 @@ _MIXED = (
     "regions, so there is no exact band."
 )
 _OBSERVED = "Coverage here is an observation."
-_SEEN = "The sources learnt from these frames, or were calibrated on them: coverage here says nothing about new ones."
 _BROKEN = (
     "These are not the frames, or not all of them, that were held out at random together with the calibration frames: "
     "coverage here is an observation, and no guarantee applies."
@@ -78,13 +77,10 @@ def error_table(trajectories: dict[str, Trajectory], truth: Trajectory) -> dict[
     return {name: trajectory_errors(trajectories[name], truth) for name in ordered}
 
 
-def coverage_table(
-    statistics: RegionStatistics, model: PoseModel, *, exchangeable: bool, seen: bool = False
-) -> dict[str, Any]:
+def coverage_table(statistics: RegionStatistics, model: PoseModel, *, exchangeable: bool) -> dict[str, Any]:
     """Coverage and size of the regions of the frames that were answered.
 
-    `exchangeable` are frames with the calibration frames, as the test part of an ``interleaved`` split; `seen` ones are
-    of the training or the calibration part.
+    `exchangeable` are frames with the calibration frames, as the test part of an ``interleaved`` split.
     """
     held, finite, rules, calibration = statistics.held, statistics.bounded, model.rules, model.calibration
     chosen = {kind: statistics.kinds == kind for kind in (*rules.by_type, EvidenceType.UNKNOWN)}
@@ -95,10 +91,8 @@ def coverage_table(
     one_law = exchangeable and by_frame and not (statistics.kinds == EvidenceType.DISTURBED).any()
     if exchangeable and by_frame:
         reach = (_ONE_LAW if whole else _LAW_PER_TARGET) if one_law else _MIXED
-    elif seen or by_frame:
-        reach = _SEEN if seen else _BROKEN
     else:
-        reach = _OBSERVED
+        reach = _BROKEN if by_frame else _OBSERVED
     targets: dict[str, dict[str, Any]] = {}
     for j, name in enumerate(TARGET_NAMES):
         targets[name] = {

@@ -147,7 +147,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
             "joint": model.calibration.joint,
             "novelty_level": model.rules.level,
         },
-        "prior": _finite(asdict(model.prior)),
+        "prior": {k: finite_or_none(v) if isinstance(v, float) else v for k, v in asdict(model.prior).items()},
         "camera": asdict(model.camera),
         "split": {"kind": str(model.split.kind), "seed": model.split.seed},
         "step_s": model.expected_input.step_s,
@@ -167,11 +167,6 @@ def save_model(model: PoseModel, folder: Path) -> None:
 
 def _path(folder: Path, name: str, digest: str) -> Path:
     return folder / _FILES[name].format(digest[:8])
-
-
-def _finite(record: dict[str, Any]) -> dict[str, Any]:
-    """The record with null for infinity and NaN, which JSON does not have."""
-    return {k: finite_or_none(v) if isinstance(v, float) else v for k, v in record.items()}
 
 
 def _digest(record: dict[str, Any]) -> str:
