@@ -1,10 +1,8 @@
 """Views, recordings and threads of a run are closed, whatever ends it."""
 
 import pytest
-from typer.testing import CliRunner
 
 from conformodal.cli import run
-from conformodal.cli.main import app
 
 
 class Recorder:
@@ -48,16 +46,3 @@ def test_a_view_that_fails_leaves_no_recording_open(monkeypatch, tmp_path, view,
     with pytest.raises(OSError, match=r"^(no screen|gone)$"), sinks:
         pass
     assert [recorder.open for recorder in opened] == still_open
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("broken", ["answering.ResultsWriter", "answering.write_metrics", "run.progress_bars"])
-def test_a_run_that_cannot_write_closes_what_it_has_opened(small_world, tmp_path, monkeypatch, broken):
-    def full(*arguments, **options):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(f"conformodal.cli.{broken}", full)
-    arguments = ["run", small_world.model, small_world.folder, "--out", tmp_path / "out", "--save", tmp_path / "a.mcap"]
-    result = CliRunner().invoke(app, [str(a) for a in [*arguments, "--limit", 3, "--view"]])
-    assert result.exit_code != 0
-    assert [recorder.open for recorder in opened] == [False, False]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from conformodal.ros.conversion import IMAGE, TOPICS, TRUTH, Conventions
+from conformodal.ros.conversion import IMAGE, NAMESPACE, TOPICS, TRUTH
 from conformodal.ros.node import Parameters
 
 ROOT = Path(__file__).parents[2]
@@ -85,7 +85,7 @@ def rows(first):
 
 def test_topics_and_their_types_are_those_that_are_written():
     assert {name: kind for name, kind, _ in rows("topic")} == {**TOPICS, **TRUTH, **IMAGE}
-    assert f"`{Conventions().namespace}/`" in text_of(DOCS / "robots.md")
+    assert f"`{NAMESPACE}/`" in text_of(DOCS / "robots.md")
 
 
 def test_parameters_and_their_defaults_are_the_nodes():

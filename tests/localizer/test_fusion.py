@@ -98,22 +98,3 @@ def test_estimates_agree_up_to_a_distance_in_standard_deviations(angle):
         assert (found.positions_xyz[0, 0] < second.position_xyz[0]) == moved
         assert (found.position_spreads[0, 0] < 0.1) == moved
         assert np.exp(found.log_mass[0]) == pytest.approx(0.8)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_masses_add_up_to_one_most_probable_first(seed):
-    rng = np.random.default_rng(seed)
-
-    def some(n):
-        return [
-            estimate(rng.uniform(0, 3, 3), rng.uniform(0.2, 1), probability=rng.uniform(0.2, 0.9)) for _ in range(n)
-        ]
-
-    answers = [some(2), some(3)]
-    found = fuse(modes(rng.uniform(0, 3, (2, 3)), mass=[0.2, 0.3]), answers)
-    # two modes, two estimates, and three that refine one or both of those two or none: none is too improbable to keep
-    assert len(masses(found)) <= 2 + 2 + 3 * 3
-    assert masses(found).sum() == pytest.approx(1, abs=1e-3)  # less those that are dropped
-    assert (np.diff(found.candidates.log_mass) <= 0).all()
-    np.testing.assert_allclose(unmeasured_mass(found), np.exp(sum(inlier_odds(its)[0] for its in answers)), rtol=2e-3)
-    np.testing.assert_allclose(np.linalg.norm(found.candidates.orientations_quat_wxyz, axis=1), 1)

@@ -4,14 +4,14 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from conformodal.conformal import SplitConformal, coverage_band
+from conformodal.conformal import coverage_band
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.local import extract_local_features
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Disturbance, read_recording
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.regions import EvidenceType, RegionRules
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.config import ModelConfig, OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.evaluate import RegionStatistics, coverage_table
@@ -134,23 +134,3 @@ def test_unreadable_files_are_left_out_and_told(sequence, small_world, tmp_path)
         copy.image_paths[i].unlink()
     with pytest.raises(OdometryError, match="none of 2 frames"):
         VisualOdometry.load(small_world.model).process(copy, np.array([20, 21]))
-
-
-@pytest.mark.parametrize("local", [True, False])
-def test_what_stretches_calibrate_survives_saving(model, tmp_path, local):
-    """Scores per unit of a target have scales of their own, and frames the stretches' labels."""
-    rng, cells = np.random.default_rng(0), model.calibration.bins
-    groups, recognised = np.repeat(np.arange(20), 4), np.tile([True, True, True, False], 20)
-
-    shift, scale = rng.normal(size=7), rng.uniform(1, 2, 7)
-    overall = SplitConformal(cells, 0.2, "density", "max")
-    overall.set_scale(scale, shift)
-    overall.calibrate_scores(rng.normal(size=(80, 7)), groups)
-    rules = RegionRules(overall, recognised if local else None, rng.random(80), 0.1)
-    save_model(replace(model, rules=rules, path_rules={}), tmp_path)
-    back, kinds = load_model(tmp_path).rules, np.array(list(EvidenceType))
-    np.testing.assert_array_equal(back.thresholds(kinds), rules.thresholds(kinds))
-    assert np.isfinite(rules.thresholds(kinds[1:3] if local else kinds[:1])).all()
-    np.testing.assert_array_equal(back.recognised, rules.recognised)
-    np.testing.assert_array_equal(back.overall.units_, groups)
-    np.testing.assert_array_equal(back.overall.thresholds_, overall.thresholds_)

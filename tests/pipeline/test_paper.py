@@ -8,10 +8,10 @@ import pytest
 from conformodal.conformal import SplitConformal
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
-from conformodal.pipeline.config import Calibration, Method, ModelConfig, OdometryError
+from conformodal.pipeline.config import Calibration, ModelConfig, OdometryError
 from conformodal.pipeline.estimator import VisualOdometry, odometry_of
 from conformodal.pipeline.paper import PaperOdometry
-from conformodal.pipeline.store import load_model, save_model
+from conformodal.pipeline.store import load_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 
 
@@ -82,17 +82,6 @@ def test_each_dimension_is_calibrated_by_itself_and_cuboids_are_the_product(data
         np.testing.assert_array_equal(one, other)
     for p, q, mask in zip(proba, own.thresholds_, model.calibration.predict(proba).masks, strict=True):
         np.testing.assert_array_equal(mask, 1 - p <= q)
-
-
-def test_it_is_saved_and_loaded(model, data, tmp_path):
-    save_model(model, tmp_path)
-    back = load_model(tmp_path)
-    assert back.method is Method.PAPER
-    assert back.backbone.fingerprint == model.backbone.fingerprint
-    proba = proba_of(model, data.features[:5]), proba_of(back, data.features[:5])
-    for one, other in zip(*proba, strict=True):
-        np.testing.assert_array_equal(one, other)
-    np.testing.assert_array_equal(back.calibration.thresholds_, model.calibration.thresholds_)
 
 
 def test_neither_system_runs_the_others_models(model, small_world):

@@ -14,7 +14,7 @@ from conformodal.io.streams.frames import Frame
 from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.results import read_region_records, read_trajectories
 from conformodal.ros.bag import BagWriter
-from conformodal.ros.conversion import TOPICS, Conventions, RosError
+from conformodal.ros.conversion import TOPICS, RosError
 from tests.helpers import run_ok
 
 pytest.importorskip("rosbags")
@@ -118,21 +118,21 @@ def test_images_are_those_of_the_source(recorded, small_world):
 
 def test_lost_frames_and_recordings_apart(make_estimate, tmp_path):
     truth = Trajectory([0.0], [[1, 2, 3.0]], [[0.5, -0.5, 0.5, -0.5]])
-    writer = BagWriter(tmp_path / "deep" / "a.mcap", Conventions(namespace="/robot/camera"))
+    writer = BagWriter(tmp_path / "deep" / "a.mcap")
     for i, kind in enumerate([None, EvidenceType.GLOBAL, EvidenceType.UNKNOWN, None, EvidenceType.LANDMARKS]):
         writer.log(Frame(f"{i}", float(i), None, recording=i // 4), make_estimate(float(i), kind), truth)
     writer.close()
     found = read(tmp_path / "deep" / "a.mcap")
-    poses = [message.pose for _, message in found["/robot/camera/pose"]]
+    poses = [message.pose for _, message in found["/conformodal/pose"]]
     lost = [bool(np.array_equal(pose.covariance.reshape(6, 6), np.eye(6) * 1e6)) for pose in poses]
     assert lost == [True, False, True, True, False]
     assert all((position(pose.pose) == [0, 0, 0]) == gone for pose, gone in zip(poses, lost, strict=True))
-    paths = [(ns, [p.header.stamp.sec for p in path.poses]) for ns, path in found["/robot/camera/path"]]
+    paths = [(ns, [p.header.stamp.sec for p in path.poses]) for ns, path in found["/conformodal/path"]]
     assert paths == [(10**9, [1]), (3 * 10**9, [1]), (4 * 10**9, [4]), (4 * 10**9, [4])]
-    _, true = found["/robot/camera/truth"][0]
+    _, true = found["/conformodal/truth"][0]
     q = true.pose.orientation
     assert (q.x, q.y, q.z, q.w) == (-0.5, 0.5, -0.5, 0.5)
-    assert "/robot/camera/image/compressed" not in found
+    assert "/conformodal/image/compressed" not in found
 
 
 def test_what_cannot_be_written_is_named(make_estimate, tmp_path, monkeypatch):

@@ -7,7 +7,8 @@ from scipy.spatial.transform import Rotation
 from conformodal.geometry import Trajectory
 from conformodal.localizer.candidates import Candidates, mixture_covariance
 from conformodal.localizer.regions import EvidenceType
-from conformodal.ros.conversion import Conventions, Conversion
+from conformodal.ros import conversion as conversion_module
+from conformodal.ros.conversion import Conversion
 
 pytest.importorskip("rosbags")
 
@@ -102,10 +103,11 @@ def test_boxes_are_the_region(make_estimate, seed):
     np.testing.assert_allclose(sorted(tuple(np.round(box, 9)) for box in found), np.round(expected, 9), atol=1e-9)
 
 
-def test_of_many_boxes_those_that_hold_most_of_the_belief_are_kept(make_estimate, some_candidates):
+def test_of_many_boxes_those_that_hold_most_of_the_belief_are_kept(make_estimate, some_candidates, monkeypatch):
     estimate = make_estimate(candidates=some_candidates(np.random.default_rng(0), 60))
     all_of_them = Conversion().messages(estimate, 0)["region"].markers[1:]
-    few = Conversion(Conventions(most_boxes=3)).messages(estimate, 0)
+    monkeypatch.setattr(conversion_module, "_MOST_BOXES", 3)
+    few = Conversion().messages(estimate, 0)
     assert [m.pose for m in few["region"].markers[1:]] == [m.pose for m in all_of_them[:3]]
     shares = [marker.color.a for marker in all_of_them]
     assert shares == sorted(shares, reverse=True)
@@ -113,8 +115,10 @@ def test_of_many_boxes_those_that_hold_most_of_the_belief_are_kept(make_estimate
     assert (said["boxes"], said["boxes_shown"]) == (str(len(all_of_them)), "3")
 
 
-def test_the_path_is_revised_bounded_and_said_now_and_then(make_estimate):
-    conversion = Conversion(Conventions(longest_path=4, path_every=3))
+def test_the_path_is_revised_bounded_and_said_now_and_then(make_estimate, monkeypatch):
+    monkeypatch.setattr(conversion_module, "_LONGEST_PATH", 4)
+    monkeypatch.setattr(conversion_module, "_PATH_EVERY", 3)
+    conversion = Conversion()
     quats = np.tile([1.0, 0, 0, 0], (9, 1))
     said = []
     for i in range(7):

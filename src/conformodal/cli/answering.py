@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -147,6 +148,8 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
         every = runner.n_answered == n_part
         some = "" if every else f"{runner.n_answered} of {counted(n_part, 'frame')} of "
         note = f"{some}the test part of split {split.kind}, seed {split.seed}."
+    records = answers.writer.records
+    n_unknown = sum(one["evidence"] == EvidenceType.UNKNOWN.name.lower() for one in records)
     metrics: dict[str, Any] = {
         "command": "run",
         "provenance": provenance(),
@@ -157,13 +160,13 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
         "split_note": note,
         "n_answered": runner.n_answered,
         "results": answers.writer.digests,
-        "n_unreliable": runner.n_unreliable,
+        "n_unreliable": sum(not one["reliable"] for one in records),
         "n_localized": runner.n_localized,
-        "n_unknown": runner.n_unknown,
-        "n_unbounded": sum(not record_bounded(one) for one in answers.writer.records) - runner.n_unknown,
+        "n_unknown": n_unknown,
+        "n_unbounded": sum(not record_bounded(one) for one in records) - n_unknown,
         "n_without_image": runner.n_problems,
         "problems": runner.problems,
-        "motion": dict(sorted(runner.motion.items())),
+        "motion": Counter(sorted(one["motion"] for one in records if one["motion"] != "first")),
         "stopped": answers.stopped,
         "seconds": answers.seconds,
     }

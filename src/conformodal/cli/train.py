@@ -192,8 +192,8 @@ def _split_record(model: PoseModel) -> dict[str, Any]:
 
 
 def _describe_model(model: PoseModel) -> list[str]:
-    """The landmarks, what calibrates the regions, and the test for unknown places."""
-    lines, rule, landmarks = [], model.calibration, model.landmarks
+    """The landmarks, and whether there is a test for unknown places."""
+    lines, landmarks = [], model.landmarks
     if landmarks is not None:
         n_landmarks, n_frames = (int(landmarks.summary[name]) for name in ("n_landmarks", "n_keyframes"))
         lines.append(f"{counted(n_landmarks, 'landmark')} of {counted(n_frames, 'frame')}")
@@ -203,16 +203,7 @@ def _describe_model(model: PoseModel) -> list[str]:
             lines[-1] += "check the camera"
     elif "landmarks" in model.settings["sources"]:
         lines.append("no landmarks: too few corners of the training frames could be triangulated; other sources answer")
-    by = f"{counted(model.n_calibration, 'frame')} of the calibration part"
-    if rule.units_ is not None:
-        by = f"{rule.n_units} stretches or recordings, each answered by sources that did not see it"
-    lines.append(f"regions are calibrated on {by} (joint {rule.joint})")
     if model.novelty is None:
         why = "the paper has no such test" if model.method is Method.PAPER else "the data are one piece"
         lines.append(f"images are not tested for unknown places: {why}")
-    else:
-        lines.append(
-            f"an image is taken for an unknown place where its p-value is at most {model.rules.level:.3g}, or "
-            f"{model.recognised_level:.3g} if a place is recognised"
-        )
     return lines

@@ -27,13 +27,13 @@ class Estimate:
     timestamp_s: float
     # the mean of the most probable place given all frames so far, as a trajectory of one. A point estimate: the
     # guarantee is the region's
-    pose: Trajectory | None
+    pose: Trajectory | None = None
     # calibrated region of this frame alone (length 1); where landmarks were looked for, it rests on them too
-    region: PoseRegions | None
-    candidates: Candidates | None  # hypotheses of this image alone
-    relative_motion: RelativeMotion | None  # since the last usable frame
+    region: PoseRegions | None = None
+    candidates: Candidates | None = None  # hypotheses of this image alone
+    relative_motion: RelativeMotion | None = None  # since the last usable frame
     # whether image and motion could be used, the image shows a known place, and no other place is probable; and why not
-    reliable: bool
+    reliable: bool = False
     problem: str = ""
     localization: Localization | None = None  # belief and region of this frame alone
     # corners of the last answered frame, or of a later one where corners were renewed, and the same ones here, (m, 2)

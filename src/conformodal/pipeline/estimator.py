@@ -121,7 +121,7 @@ class Odometry(ABC):
         timestamp_s = self._next_time(timestamp_s)
         usable = _as_image(image, self.model.camera)
         if isinstance(usable, str):
-            estimate = Estimate(timestamp_s, None, None, None, None, False, usable)
+            estimate = Estimate(timestamp_s, problem=usable)
         else:
             self._watch.check_colours(usable)
             with one_blas_thread():
@@ -198,20 +198,19 @@ class Odometry(ABC):
 class VisualOdometry(Odometry):
     """Poses of one camera, frame by frame (:meth:`step`) or for a whole recording (:meth:`process`).
 
-    ``examples/stream.py`` answers a camera or a video frame by frame, ``examples/images.py`` a whole data set. `lag`
-    counts the frames of a stream that :attr:`Estimate.revised` and :meth:`lagged` go back; :meth:`process` uses all.
+    ``examples/stream.py`` answers a camera or a video frame by frame, ``examples/images.py`` a whole data set.
+    :attr:`Estimate.revised` and :meth:`lagged` go back ten frames of a stream; :meth:`process` uses all.
     """
 
     answer = METHODS[0]
     whole_paths = True
 
-    def __init__(self, model: PoseModel, lag: int = LAG) -> None:
+    def __init__(self, model: PoseModel) -> None:
         if model.method is Method.PAPER:
             raise OdometryError("the model was trained with the paper's method; PaperOdometry runs it")
         self.model = model
-        self.lag = lag
-        self._filter = PoseFilter(model.prior, lag)
-        self._recent: deque[Estimate] = deque(maxlen=lag + 1)
+        self._filter = PoseFilter(model.prior)
+        self._recent: deque[Estimate] = deque(maxlen=LAG + 1)
         self.reset()
 
     @classmethod
@@ -246,19 +245,17 @@ class VisualOdometry(Odometry):
         return replace(estimate, revise=partial(_revised, self._filter.window(), self.model.prior))
 
     def lagged(self) -> Estimate | None:
-        """The estimate of the frame `lag` before the newest, from all up to the newest; unusable ones do not count.
+        """The estimate of the frame ten before the newest, from all up to the newest; unusable ones do not count.
 
-        None for the first `lag` frames of a stream; after an unusable one, the same frame as before it. The last `lag`
-        frames are not reached: ``revised`` has their poses. Its `path_region` is calibrated for a lag of ten frames:
-        None for others, and where the model has no such calibration. `reliable` asks for the same probability as in
+        None for the first ten frames of a stream; after an unusable one, the same frame as before it. The last ten
+        frames are not reached: ``revised`` has their poses. `reliable` asks for the same probability as in
         :meth:`step`.
         """
-        if len(self._recent) <= self.lag:
+        if len(self._recent) <= LAG:
             return None
         then, posterior = self._recent[0], self._filter.window().first(self.model.prior)
         assert then.localization is not None
-        path = LAGGED if self.lag == LAG else ""
-        estimate = self._estimate(then.localization, then.relative_motion, then.timestamp_s, posterior, path)
+        estimate = self._estimate(then.localization, then.relative_motion, then.timestamp_s, posterior, LAGGED)
         return replace(estimate, tracks=then.tracks, corners=then.corners)
 
     def _estimate(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
+from collections import defaultdict
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Self
 
@@ -15,7 +15,7 @@ from conformodal.geometry import Trajectory, concatenate
 from conformodal.io.streams.frames import Frame, SourceError
 from conformodal.localizer.filter import hindsight_posteriors
 from conformodal.localizer.observations import MotionPrior, Observations, PosePath, Posterior, choose_places
-from conformodal.localizer.regions import EvidenceType, PoseRegions
+from conformodal.localizer.regions import PoseRegions
 from conformodal.localizer.smoother import image_hypotheses, smooth
 
 from .estimates import Estimate, observations_of
@@ -73,12 +73,9 @@ class StreamRunner:
     ) -> None:
         self.estimator, self.writer = estimator, writer
         self.window, self.overlap = window, overlap
-        self.n_answered = self.n_unreliable = self.n_problems = 0  # frames so far
+        self.n_answered = self.n_problems = 0  # frames so far
         self.n_localized = 0  # those with an absolute pose estimate from landmarks
-        self.n_unknown = 0  # those that show no known place
-        self.answered: list[int] = []  # places in the data set of those whose true pose is given
-        self.rows_with_truth: list[int] = []  # which of the answers these are, counted from 0
-        self.motion: Counter[str] = Counter()  # how often which motion status
+        self.rows_with_truth: list[int] = []  # which of the answers have a true pose, counted from 0
         self.windowed = False  # whether a recording was too long to be answered as a whole
         self.problems: dict[str, str] = {}  # of the first hundred frames without an image, by name
         self.hindsight_regions: list[PoseRegions] = []  # of all frames so far, if they are kept and the model has them
@@ -86,6 +83,7 @@ class StreamRunner:
         self._truth = truth
         frames = range(0 if truth is None else len(truth)) if posed is None else posed.tolist()
         self._row = {frame: row for row, frame in enumerate(frames)}
+        self._true_poses: list[Trajectory] = []
         self._poses: defaultdict[str, list[Trajectory]] = defaultdict(list)
         self._statistics: list[RegionStatistics] = []
         self._path_statistics: dict[str, list[RegionStatistics]] = {ONLINE: [], HINDSIGHT: []}
@@ -123,9 +121,7 @@ class StreamRunner:
     @property
     def truth(self) -> Trajectory | None:
         """True poses of the answered frames that have one; None if none has."""
-        if self._truth is None or not self.answered:
-            return None
-        return self._truth[np.array([self._row[frame] for frame in self.answered])]
+        return concatenate(self._true_poses) if self._true_poses else None
 
     def true_pose(self, frame: Frame) -> Trajectory | None:
         """The true pose of a frame, a trajectory of one; None where it is not known."""
@@ -181,23 +177,19 @@ class StreamRunner:
 
     def _append(self, frame: Frame, estimate: Estimate) -> None:
         """Count, measure and write an answer, and queue it for the whole path."""
-        motion, region, pose = estimate.relative_motion, estimate.region, estimate.pose
+        region, pose = estimate.region, estimate.pose
         assert region is not None
         assert pose is not None
         assert estimate.evidence is not None
         self.n_answered += 1
-        self.n_unreliable += not estimate.reliable
         self.n_localized += bool(estimate.estimates)
-        self.n_unknown += estimate.evidence is EvidenceType.UNKNOWN
-        if motion is not None:
-            self.motion[str(motion.status)] += 1
         if self.writer is not None:
             self.writer.region(record_of(frame.name, estimate))
         truth = self.true_pose(frame)
         if truth is not None:
             sign, kind = self.estimator.model.sign_reference, np.array([estimate.evidence])
             self._statistics.append(RegionStatistics.of(region, truth, sign, kind))
-            self.answered.append(frame.index)
+            self._true_poses.append(truth)
             self.rows_with_truth.append(self.n_answered - 1)
             self._reliable.append(estimate.reliable)
             self._measure_path(ONLINE, estimate.path_region, truth)

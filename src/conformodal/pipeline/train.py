@@ -18,7 +18,7 @@ from conformodal.io import Recording, make_split, with_random_calibration
 from conformodal.io.recording import join_recordings
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.localizer import Localizer
-from conformodal.localizer.observations import MotionPrior, fit_motion_prior
+from conformodal.localizer.observations import fit_motion_prior
 from conformodal.localizer.regions import PlaceNovelty
 from conformodal.tracking.motions import measure_motions
 
@@ -102,8 +102,11 @@ def train_model(
         lambda: Localizer.fit_each(sources, parts, config.sources),
         lambda: (_held_out_motions(data.sequence, folds, config, progress), identify(data.sequence)),
     )
-    localizers = localizers or [localizer]
-    prior = _motion_prior(data, config)
+    localizers, train = localizers or [localizer], data.split.train
+    prior = fit_motion_prior(data.sequence.require_truth()[train], data.sequence.recording[train])
+    if config.method is not Method.PAPER:
+        depth_m, depth_spread = data.depths
+        prior = replace(prior, depth_m=depth_m, depth_spread=depth_spread)
     path_rules: dict[str, SplitConformal] = {}
     if config.method is Method.PAPER:  # without a novelty test
         regions = CalibratedRegions(paper_rules(sources, folds.held_out, localizer, config), None, [])
@@ -141,12 +144,3 @@ def _held_out_motions(
     if config.method is Method.PAPER or folds.units is None:
         return {}
     return measure_motions(sequence, np.sort(folds.held_out), progress)
-
-
-def _motion_prior(data: TrainingData, config: ModelConfig) -> MotionPrior:
-    truth, train = data.sequence.require_truth(), data.split.train
-    prior = fit_motion_prior(truth[train], data.sequence.recording[train])
-    if config.method is Method.PAPER:
-        return prior
-    depth, spread = data.depths
-    return replace(prior, depth_m=depth, depth_spread=spread)

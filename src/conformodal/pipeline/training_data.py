@@ -21,7 +21,7 @@ from conformodal.io import Recording, Split, SplitKind, held_out_together
 from conformodal.io.decoding import grey_image
 from conformodal.localizer.sources.registry import SourceData
 from conformodal.tracking.submaps import build_submaps
-from conformodal.tracking.tracker import Corners, CornerTracker
+from conformodal.tracking.tracker import CornerTracker
 
 from .config import Calibration, ModelConfig, OdometryError
 
@@ -136,7 +136,12 @@ def measure_depths(sequence: Recording, frames: IntArray) -> tuple[float, float]
     depths = []
     for stretch in _stretches(frames, sequence.recording):
         places, quats = truth.positions_xyz[stretch], truth.orientations_quat_wxyz[stretch]
-        for submap in build_submaps(_followed(sequence, stretch), sequence.camera):
+        tracker, corners = CornerTracker(), []
+        for i in stretch.tolist():
+            tracker.advance(grey_image(sequence.image(i)))
+            tracker.mark()
+            corners.append(tracker.corners())
+        for submap in build_submaps(corners, sequence.camera):
             # scaled to the true positions; not positive if the two disagree
             path = submap.positions @ matrix_from_quat_wxyz(quats[submap.frames[:1]])[0].T
             way = places[submap.frames] - places[submap.frames[0]]
@@ -161,12 +166,3 @@ def _stretches(frames: IntArray, recording: IntArray) -> list[IntArray]:
         whole = [part[i : i + _FRAMES] for i in range(0, len(part) - _FRAMES + 1, _FRAMES)]
         pieces += whole or ([part] if len(part) > 2 else [])
     return [pieces[i] for i in evenly_spread(len(pieces), _STRETCHES)]
-
-
-def _followed(sequence: Recording, frames: IntArray) -> list[Corners]:
-    tracker, corners = CornerTracker(), []
-    for i in frames.tolist():
-        tracker.advance(grey_image(sequence.image(i)))
-        tracker.mark()
-        corners.append(tracker.corners())
-    return corners

@@ -13,7 +13,7 @@ from conformodal.geometry import Trajectory
 from conformodal.io.streams.frames import Frame
 from conformodal.pipeline.estimates import Estimate
 
-from .conversion import IMAGE, TOPICS, TRUTH, Conventions, Conversion, nanoseconds
+from .conversion import CAMERA_FRAME, IMAGE, NAMESPACE, TOPICS, TRUTH, Conversion, nanoseconds
 
 _VERSION = 8  # of the format: Humble reads it too
 _JPEG_QUALITY = 80
@@ -23,16 +23,16 @@ class BagWriter:
     """Writes one MCAP file with the messages of every frame of a run.
 
     ROS and Foxglove play an MCAP file by itself, without the rest of the folder that a ROS 2 bag is. It is written to a
-    temporary folder beside its place `path`, and moved there by :meth:`close`. `how` has names and limits; with
-    `images`, images are written too, as JPEG.
+    temporary folder beside its place `path`, and moved there by :meth:`close`. With `images`, images are written
+    too, as JPEG.
     """
 
-    def __init__(self, path: Path, how: Conventions | None = None, *, images: bool = False) -> None:
+    def __init__(self, path: Path, *, images: bool = False) -> None:
         with require_extra("ros", "a recording of ROS messages"):
             from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer  # noqa: PLC0415
             from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
         self.path, self._images = path, images
-        self._conversion = Conversion(how)
+        self._conversion = Conversion()
         self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
         self._recording: int | None = None
         self._last_ns: int | None = None
@@ -43,9 +43,9 @@ class BagWriter:
         self._writer: Any = Writer(self._folder, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._writer.open()
-        topic, store = self._conversion.how.topic, self._store
         self._connections = {
-            name: self._writer.add_connection(topic(name), kind, typestore=store) for name, kind in self._types.items()
+            name: self._writer.add_connection(f"{NAMESPACE}/{name}", kind, typestore=self._store)
+            for name, kind in self._types.items()
         }
 
     def log(self, frame: Frame, estimate: Estimate, truth: Trajectory | None = None) -> None:
@@ -63,7 +63,7 @@ class BagWriter:
             bgr = cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR)
             data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].ravel()
             ((name, kind),) = IMAGE.items()
-            header = conversion.header(stamp_ns, conversion.how.camera_frame)
+            header = conversion.header(stamp_ns, CAMERA_FRAME)
             messages[name] = conversion.make(kind, header=header, format="jpeg", data=data)
         self._last_ns = stamp_ns
         for name, message in messages.items():

@@ -10,7 +10,6 @@ import math
 from array import array
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -47,29 +46,18 @@ _LAST_SECOND = 2**31 - 1
 _LOST_VARIANCE = 1e6  # of every coordinate of a lost frame, m^2 and rad^2
 _COLOURS = {"region": (86 / 255, 180 / 255, 233 / 255), "places": (0.0, 114 / 255, 178 / 255)}
 _FAINTEST, _FULLEST = 0.15, 0.8
+NAMESPACE = "/conformodal"  # of all topics
+CAMERA_FRAME = "camera_optical_frame"  # of images: x right, y down, z forward
+_MOST_BOXES = 256  # per region, the most probable first
+_RANGE_M = 100.0  # where boxes are cut off, from the chosen position along each axis
+_LONGEST_PATH = 1000  # poses
+_PATH_EVERY = 10  # answered frames per published path
 _CUBE, _DELETE_ALL = 1, 3
 _OK, _WARN, _ERROR = 0, 1, 2
 
 
 class RosError(ConformodalError):
     """Something that ROS messages cannot hold, or a parameter that the node cannot use."""
-
-
-@dataclass(frozen=True)
-class Conventions:
-    """Names of frames and topics, and limits."""
-
-    world_frame: str = "map"  # of poses: the world of the training poses
-    camera_frame: str = "camera_optical_frame"  # of images: x right, y down, z forward
-    namespace: str = "/conformodal"  # of all topics
-    most_boxes: int = 256  # per region, the most probable first
-    range_m: float = 100.0  # where boxes are cut off, from the chosen position along each axis
-    longest_path: int = 1000  # poses
-    path_every: int = 10  # answered frames per published path
-
-    def topic(self, name: str) -> str:
-        """A topic with its namespace."""
-        return f"{self.namespace}/{name}"
 
 
 def rosbags_factory() -> MakeMessage:
@@ -109,21 +97,22 @@ def is_lost(estimate: Estimate) -> bool:
 class Conversion:
     """Converts estimates to messages one by one, and keeps the path.
 
-    `how` has names and limits; `make` makes a message of a type, by default in the classes of rosbags.
+    `world_frame` is that of poses, the world of the training poses; `make` makes a message of a type, by default in the
+    classes of rosbags.
     """
 
-    def __init__(self, how: Conventions | None = None, make: MakeMessage | None = None) -> None:
-        self.how, self.make = how or Conventions(), make or rosbags_factory()
+    def __init__(self, world_frame: str = "map", make: MakeMessage | None = None) -> None:
+        self._world_frame, self.make = world_frame, make or rosbags_factory()
         self.reset()
 
     def reset(self) -> None:
         """Forget the path: another recording begins."""
-        self._path: deque[tuple[float, Any]] = deque(maxlen=self.how.longest_path)
-        self._lost: deque[float] = deque(maxlen=self.how.longest_path)  # times
+        self._path: deque[tuple[float, Any]] = deque(maxlen=_LONGEST_PATH)
+        self._lost: deque[float] = deque(maxlen=_LONGEST_PATH)  # times
         self._n_answered = 0
 
     def messages(self, estimate: Estimate, stamp_ns: int) -> dict[str, Any]:
-        """All messages about a frame by topic, see :data:`TOPICS`; the path in every :attr:`Conventions.path_every`.
+        """All messages about a frame by topic, see :data:`TOPICS`; the path in every tenth.
 
         `stamp_ns` is the frame's time in nanoseconds.
         """
@@ -149,7 +138,7 @@ class Conversion:
         if not 0 <= sec <= _LAST_SECOND:
             raise RosError(f"a time of ROS must lie within 0 and {_LAST_SECOND} s, got {stamp_ns / NANOSECONDS:.9g} s")
         stamp = self.make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=self.how.world_frame if frame is None else frame)
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame or self._world_frame)
 
     def stamped(self, stamp_ns: int, pose: Any) -> Any:
         """A pose with a time."""
@@ -207,8 +196,8 @@ class Conversion:
         if is_lost(estimate) or region is None or estimate.pose is None:
             return []
         here = estimate.pose.positions_xyz[0][:, None]
-        places = [(place.box, place.probability) for place in region.places(0)[: self.how.most_boxes]]
-        near = here - self.how.range_m, here + self.how.range_m
+        places = [(place.box, place.probability) for place in region.places(0)[:_MOST_BOXES]]
+        near = here - _RANGE_M, here + _RANGE_M
         return [(np.clip(box[:3], *near), float(probability)) for box, probability in places if box is not None]
 
     def _status(self, estimate: Estimate, header: Any) -> Any:
@@ -220,7 +209,7 @@ class Conversion:
             "known_p": "" if estimate.known_p is None else f"{estimate.known_p:.6g}",
             "motion": "none" if motion is None else str(motion.status),
             "boxes": str(n_boxes),
-            "boxes_shown": str(min(n_boxes, self.how.most_boxes)),
+            "boxes_shown": str(min(n_boxes, _MOST_BOXES)),
         }
         status = self.make(
             "diagnostic_msgs/msg/DiagnosticStatus",
@@ -237,7 +226,7 @@ class Conversion:
             return False
         if is_lost(estimate):
             self._lost.append(estimate.timestamp_s)
-        due = self._n_answered % self.how.path_every == 0
+        due = self._n_answered % _PATH_EVERY == 0
         revised = (estimate.revised if due else None) or estimate.pose  # hindsight takes time
         first = float(revised.timestamps_s[0])
         while self._path and self._path[-1][0] >= first:

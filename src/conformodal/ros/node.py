@@ -24,7 +24,7 @@ from conformodal.pipeline.estimates import Estimate
 from conformodal.pipeline.estimator import Odometry, odometry_of
 from conformodal.pipeline.store import load_model
 
-from .conversion import NANOSECONDS, TOPICS, Conventions, Conversion, RosError
+from .conversion import NAMESPACE, NANOSECONDS, TOPICS, Conversion, RosError
 
 _DEPTH = 10  # of queues of messages
 _JUMP_BACK_S = 1.0  # a clock that goes back by more was set anew: a recording is played again
@@ -36,7 +36,7 @@ class Parameters:
     """Parameters of the node, by their names in ROS."""
 
     model: str = ""  # folder of a saved model
-    world_frame: str = "map"  # see :class:`Conventions`
+    world_frame: str = "map"  # of poses: the world of the training poses
     compressed: bool = False  # whether images are ``sensor_msgs/CompressedImage``
     # after so many seconds without an image the pose counts as lost; also the time between two such messages
     silent_s: float = 1.0
@@ -52,7 +52,7 @@ class PoseNode:
         self,
         node: Any,
         odometry: Odometry,
-        how: Conventions | None = None,
+        world_frame: str = "map",
         *,
         compressed: bool = False,
         silent_s: float = 1.0,
@@ -60,15 +60,15 @@ class PoseNode:
         ros_messages.rosbags_image()  # missing packages are told before the first image
         self.odometry, self._node, self._silent_s = odometry, node, silent_s
         self._log = node.get_logger()
-        self._conversion = Conversion(how, make_message)
+        self._conversion = Conversion(world_frame, make_message)
         self._kind = ros_messages.COMPRESSED if compressed else ros_messages.RAW
         self._last_s: float | None = None
         self._answered_ns: int | None = None
         self._camera = self._refused = ""  # the camera as it was last published, and why it is not the model's
         odometry.reset()
-        topic = self._conversion.how.topic
         self._publishers = {
-            name: node.create_publisher(message_class(kind), topic(name), _DEPTH) for name, kind in TOPICS.items()
+            name: node.create_publisher(message_class(kind), f"{NAMESPACE}/{name}", _DEPTH)
+            for name, kind in TOPICS.items()
         }
         sensor = import_module("rclpy.qos").qos_profile_sensor_data
         images = node.create_subscription(message_class(self._kind), "image", self.on_image, sensor)
@@ -94,7 +94,7 @@ class PoseNode:
         if not self._is_new(time_s):
             return
         if self._refused:
-            estimate = _lost(time_s, self._refused)
+            estimate = Estimate(time_s, problem=self._refused)
         else:
             try:
                 image, problem = ros_messages.image_of(message, self._kind), ""
@@ -111,7 +111,7 @@ class PoseNode:
         now_ns = self._node.get_clock().now().nanoseconds
         if self._answered_ns is not None and 0 <= now_ns - self._answered_ns < self._silent_s * NANOSECONDS:
             return
-        self._publish(_lost(now_ns / NANOSECONDS, f"no image for {self._silent_s:g} s"), now_ns)
+        self._publish(Estimate(now_ns / NANOSECONDS, problem=f"no image for {self._silent_s:g} s"), now_ns)
 
     def _is_new(self, time_s: float) -> bool:
         """Whether a time follows the last one; if it lies far before it, a new recording has begun."""
@@ -157,10 +157,6 @@ def _require_ros() -> Iterator[None]:
         ) from exc
 
 
-def _lost(time_s: float, problem: str) -> Estimate:
-    return Estimate(time_s, None, None, None, None, False, problem)
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run the node until ROS or a signal ends it; returns an exit code."""
     try:
@@ -184,8 +180,8 @@ def _run(arguments: list[str] | None) -> None:
             raise RosError("parameter model must name the folder of a saved model: --ros-args -p model:=MODEL")
         if not given.silent_s > 0:
             raise RosError(f"parameter silent_s must be more than 0 s, got {given.silent_s}")
-        how, odometry = Conventions(world_frame=given.world_frame), odometry_of(load_model(given.model))
-        PoseNode(node, odometry, how, compressed=given.compressed, silent_s=given.silent_s)
+        odometry = odometry_of(load_model(given.model))
+        PoseNode(node, odometry, given.world_frame, compressed=given.compressed, silent_s=given.silent_s)
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
