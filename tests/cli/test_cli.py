@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import typer
 
+from conformodal.cli import info as info_module
 from conformodal.cli.main import COMMANDS, app
 from conformodal.io import read_recording
 from conformodal.io.pose_files import read_tum
@@ -210,3 +211,31 @@ def test_recordings_are_given_as_several_arguments(two_recordings, tmp_path):
     refused = invoke("train", *parts, "--out", tmp_path / "other", "--test", parts[1])
     assert refused.exit_code
     assert "is in two of the data sets" in " ".join(refused.output.split())
+
+
+@pytest.mark.parametrize(
+    ("commands", "heavy"),
+    [([()], ("torch", "scipy", "sklearn", "cv2", "matplotlib")), ([("train",), ("run",)], ("torch",))],
+)
+def test_help_imports_nothing_heavy(commands, heavy):
+    script = "import sys; from contextlib import suppress; from conformodal.cli.main import app\n"
+    script += f"for words in {commands}:\n with suppress(SystemExit): app([*words, '--help'])\n"
+    script += f"print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.count("Usage") == len(commands)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_info_names_training_data_guarantee_and_size(small_world):
+    found = json.loads(invoke("info", small_world.model, "--json").stdout)
+    model = load_model(small_world.model)
+    assert found["frames"] == {part: len(model.split.part(part)) for part in ("train", "calibration", "test")}
+    assert found["alpha"] == 0.2
+    assert found["sources"] == list(model.settings["sources"])
+    assert found["network_ms"] > 0
+    (weights,) = small_world.model.glob("weights-*")
+    assert found["bytes"][weights.name] == weights.stat().st_size
+    assert set(found["bounded_regions"]) == {kind.name.lower() for kind in model.rules.by_type}
+    lines = info_module.describe_facts(found)
+    assert found["guarantee"] == describe_guarantee(model) in lines
+    assert invoke("info", small_world.model).stdout.replace("\n", "").startswith(lines[0])

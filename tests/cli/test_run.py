@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 
+from conformodal.cli import run
 from conformodal.io import read_recording
 from conformodal.io.pose_files import read_tum
 from conformodal.pipeline.store import load_model, save_model
@@ -84,3 +85,47 @@ def test_frames_without_a_pose_are_answered_and_the_others_are_measured(small_wo
     # of the first frames, none has a pose
     result = run_ok("run", small_world.model, place, "--out", tmp_path / "none", "--limit", 12)
     assert "errors" not in json.loads((tmp_path / "none" / "metrics.json").read_text())
+
+
+class Recorder:
+    """Stands in for a recording."""
+
+    def __init__(self, *arguments, **options):
+        self.open = True
+        opened.append(self)
+
+    def log(self, *frame):
+        pass
+
+    def close(self):
+        self.open = False
+
+
+opened: list[Recorder] = []
+
+
+@pytest.fixture
+def recorders(monkeypatch):
+    opened.clear()
+    monkeypatch.setattr("conformodal.ros.bag.BagWriter", Recorder)
+    monkeypatch.setattr("conformodal.report.live.LiveView", Recorder)
+
+
+class NoScreen(Recorder):
+    def __init__(self, *arguments, **options):
+        raise OSError("no screen")
+
+
+class Broken(Recorder):
+    def close(self):
+        raise OSError("gone")
+
+
+@pytest.mark.usefixtures("recorders")
+@pytest.mark.parametrize(("view", "still_open"), [(NoScreen, [False]), (Broken, [False, True])])
+def test_a_view_that_fails_leaves_no_recording_open(monkeypatch, tmp_path, view, still_open):
+    monkeypatch.setattr("conformodal.report.live.LiveView", view)
+    sinks = run.frame_sinks("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False)
+    with pytest.raises(OSError, match=r"^(no screen|gone)$"), sinks:
+        pass
+    assert [recorder.open for recorder in opened] == still_open

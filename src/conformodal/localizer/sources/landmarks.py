@@ -36,7 +36,6 @@ from conformodal.localizer.evidence import (
     fit_error_model,
 )
 
-from .mapping import triangulate_frames, view_overlap
 from .registry import SourceAnswer, SourceData, SourceState, register_source
 
 _ARRAYS = {
@@ -117,6 +116,8 @@ class LandmarkMap:
         matcher: Matcher | None = None,
     ) -> Self:
         """Map n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps."""
+        from .mapping import triangulate_frames  # noqa: PLC0415 - only learning needs it
+
         origin_xyz = nearest_kilometres(poses_se3[:, :3, 3])
         poses_se3 = poses_se3.copy()
         poses_se3[:, :3, 3] -= origin_xyz
@@ -394,6 +395,7 @@ def _fit_errors(
 
     Each of `groups` labels the images (n,): those with the label of a left-out image are hidden with it.
     """
+    from .mapping import view_overlap  # noqa: PLC0415 - only learning needs it
 
     def estimated(i: int) -> list[tuple[float, ...]]:
         rows: list[tuple[float, ...]] = []
