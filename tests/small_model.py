@@ -10,7 +10,7 @@ from conformodal.conformal import NoveltyTest, QuantileBins, SplitConformal
 from conformodal.features.backbone import INPUT, OUTPUT, Backbone, BackboneConfig, at_unit_length
 from conformodal.features.export import IR_VERSION, OPSET
 from conformodal.features.head import Projection, SoftmaxHead
-from conformodal.features.local import QualityRange, extract_local_features
+from conformodal.features.local import ORB, QualityRange, extract_local_features
 from conformodal.geometry import PinholeCamera
 from conformodal.io import Split
 from conformodal.localizer.evidence import ErrorModel, FrameEvidence
@@ -51,14 +51,14 @@ def backbone():
     return Backbone(BackboneConfig("colours", None, 32, 24, (4, 4)), model.SerializeToString())
 
 
-def small_model():
+def small_model(detector=ORB):
     """A model with all sources and evidence types, whose regions and paths whole stretches calibrate."""
     rng, network = np.random.default_rng(0), backbone()
     features = network.features_of(image()) + rng.normal(0, 0.5, (20, network.n_features)).astype(np.float32)
     targets = np.column_stack((rng.normal(size=(20, 3)), np.ones(20), rng.normal(0, 0.1, (20, 3))))
     targets[:, 3:] /= np.linalg.norm(targets[:, 3:], axis=1, keepdims=True)
     bins = QuantileBins(_BINS, 0.02).fit(targets)
-    sources = _head(rng, features, sum(bins.sizes)), _neighbours(rng, features, targets), _landmarks(features)
+    sources = _head(rng, features, sum(bins.sizes)), _neighbours(rng, features, targets), _landmarks(features, detector)
     localizer = Localizer((*sources,), bins, np.array([1.0, 0, 0, 0]))
 
     labels = np.repeat(np.arange(20), 3)
@@ -83,6 +83,7 @@ def small_model():
         rules=rules,
         prior=MotionPrior(0.5, (0.1, 0.2), (1.0, 0.9), (0.2, 0.1), 3.0, 0.3, 20.0),
         camera=CAMERA,
+        detector=detector,
         split=Split("blocks", 0, _FRAMES, np.arange(12, 16), np.arange(16, 20)),
         known_frames=FrameIdentities(rng.integers(0, 256, (20, 16)).astype(np.uint8), targets),
         expected_input=ExpectedInput(0.1, np.full(21, 1 / 21)),
@@ -109,9 +110,9 @@ def _neighbours(rng, features, targets):
     return NeighbourSource(regression, _FRAMES, 1.0, 2.0, ErrorModel(0.1, 1.0, 0.0, 0.1, 1.0, 0.0, 1.0, (0.5,)))
 
 
-def _landmarks(features):
+def _landmarks(features, detector):
     """The corners of the image at depths of two to four metres, known from three keyframes."""
-    local, camera = extract_local_features(image(), CAMERA), PinholeCamera(150.0, 150.0, 79.5, 59.5, 160, 120)
+    local, camera = extract_local_features(image(), CAMERA, detector), PinholeCamera(150.0, 150.0, 79.5, 59.5, 160, 120)
     depths = np.random.default_rng(1).uniform(2, 4, (len(local.pixels), 1))
     points = np.column_stack((camera.on_plane(local.pixels), np.ones(len(depths)))) * depths
     poses = np.tile(np.eye(4), (3, 1, 1))

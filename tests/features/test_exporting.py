@@ -22,7 +22,7 @@ def test_features_do_not_depend_on_the_other_images_of_a_batch(backbone):
 
 
 def test_an_export_that_answers_otherwise_is_refused(backbone, monkeypatch):
-    def export(network):
+    def export(network, *_, **__):
         for name, value in network.layers.named_parameters():
             if name.endswith("bias"):
                 value.zero_()
@@ -35,9 +35,9 @@ def test_an_export_that_answers_otherwise_is_refused(backbone, monkeypatch):
 
 def test_a_network_is_exported_once(backbone, monkeypatch, tmp_path):
     cache = FeatureCache(tmp_path)
-    monkeypatch.setattr(exporting, "_export", lambda _: backbone.content)
+    monkeypatch.setattr(exporting, "_export", lambda *_, **__: backbone.content)
     made = make_backbone(backbone.config, cache)
-    monkeypatch.setattr(exporting, "_export", lambda _: pytest.fail("exported again"))
+    monkeypatch.setattr(exporting, "_export", lambda *_, **__: pytest.fail("exported again"))
     assert make_backbone(backbone.config, cache).fingerprint == made.fingerprint
 
 

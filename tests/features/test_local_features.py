@@ -1,6 +1,10 @@
 import cv2
 import numpy as np
+import pytest
+from sklearn.datasets import load_sample_image
 
+from conformodal.features.export import make_detector
+from conformodal.features.extract import FeatureCache
 from conformodal.features.local import extract_local_features, match
 from conformodal.geometry import PinholeCamera
 
@@ -14,14 +18,21 @@ def camera(width, height, lens=()):
     return PinholeCamera(width, width, width / 2, height / 2, width, height, lens)
 
 
-def test_corners_of_a_shifted_image_are_shifted():
-    image = texture(640, 480)
-    here = extract_local_features(image[:400, :600], camera(600, 400))
-    there = extract_local_features(image[7:407, 12:612], camera(600, 400))
+@pytest.fixture(scope="module", params=["orb", "xfeat"])
+def detector(request):
+    return make_detector(request.param, camera(600, 400), FeatureCache(None))
+
+
+def test_corners_of_a_shifted_image_are_shifted(detector):
+    image = load_sample_image("china.jpg")
+    here = extract_local_features(image[:400, :600], camera(600, 400), detector)
+    there = extract_local_features(image[7:407, 12:612], camera(600, 400), detector)
     pairs = match(here.descriptors, there.descriptors)
     assert len(pairs) > 100
-    moved = here.pixels[pairs[:, 0]] - there.pixels[pairs[:, 1]]
-    assert np.mean(np.linalg.norm(moved - (12, 7), axis=1) < 2) > 0.9
+    off = here.pixels[pairs[:, 0]] - there.pixels[pairs[:, 1]] - (12, 7)
+    most = {"orb": 2, "xfeat": 8}[detector.name]  # XFeat describes cells of eight pixels
+    assert np.mean(np.linalg.norm(off, axis=1) < most) > 0.9
+    np.testing.assert_allclose(np.median(off, axis=0), 0, atol=0.2)
 
 
 def test_small_images_are_enlarged_and_corners_stay_where_they_are():
@@ -48,10 +59,11 @@ def test_the_lens_is_taken_out():
     np.testing.assert_array_equal(bent.descriptors, straight.descriptors)
 
 
-def test_a_blank_image_has_no_corners():
-    blank = extract_local_features(np.full((120, 160, 3), 90, np.uint8), camera(160, 120))
+def test_a_blank_image_has_no_corners(detector):
+    blank = extract_local_features(np.full((400, 600, 3), 90, np.uint8), camera(600, 400), detector)
     assert blank.pixels.shape == (0, 2)
-    assert blank.descriptors.shape == (0, 32)
+    assert blank.descriptors.shape == detector.nothing.descriptors.shape
+    assert blank.descriptors.dtype == detector.nothing.descriptors.dtype
     np.testing.assert_array_equal(blank.global_descriptor, 0)
     assert match(blank.descriptors, blank.descriptors).shape == (0, 2)
 
@@ -71,3 +83,16 @@ def test_matches_are_those_of_the_definition():
             found.setdefault(int(distances[i].argmin()), int(i))
     assert 20 < len(found) < 70
     assert {int(j): int(i) for i, j in match(some, others)} == found
+
+
+def test_directions_match_that_are_nearest_to_each_other_and_alike_enough():
+    rng = np.random.default_rng(2)
+    others = rng.standard_normal((50, 64))
+    some = others[rng.integers(0, 50, 90)] + rng.uniform(0, 1.5, (90, 1)) * rng.standard_normal((90, 64))
+    some, others = (rows / np.linalg.norm(rows, axis=1, keepdims=True) for rows in (some, others))
+    cosine = some @ others.T
+    mutual = (cosine == cosine.max(axis=1, keepdims=True)) & (cosine == cosine.max(axis=0)) & (cosine >= 0.75)
+    as_bytes = [np.clip(np.rint(254 * rows), -127, 127).astype(np.int8) for rows in (some, others)]
+    expected = set(zip(*np.nonzero(mutual), strict=True))
+    assert 10 < len(expected) < 50
+    assert len(expected ^ set(map(tuple, match(*as_bytes).tolist()))) <= 2  # rounding to bytes

@@ -9,9 +9,11 @@ import pytest
 from safetensors.numpy import load, save
 
 from conformodal.conformal import ConformodalError
+from conformodal.features.export import make_detector
+from conformodal.features.extract import FeatureCache
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.store import ModelFileError, _digest, load_model, save_model
-from tests.small_model import image, small_model
+from tests.small_model import CAMERA, image, small_model
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +158,20 @@ SPOILT = {
     "no weights": (lambda f: file_of(f, "weights").unlink(), r"weights-.*cannot be read"),
     "no network": (lambda f: file_of(f, "network").unlink(), r"network-.*cannot be read"),
 }
+
+
+def test_a_model_with_xfeat_answers_as_before_it_was_saved(tmp_path):
+    detector = make_detector("xfeat", CAMERA, FeatureCache(None))
+    model = small_model(detector)
+    save_model(model, tmp_path)
+    first, again = (VisualOdometry(one).step(image(), 1.0) for one in (model, load_model(tmp_path)))
+    assert first.pose is not None
+    assert again.pose is not None
+    np.testing.assert_array_equal(first.pose.poses_se3, again.pose.poses_se3)
+    record = json.loads((tmp_path / "model.json").read_text())
+    record["detector"] = hashlib.sha256(b"").hexdigest()
+    (tmp_path / f"detector-{record['detector'][:8]}.onnx").write_bytes(b"")
+    assert fate(tmp_path, {**record, "features": "orb"}, "not described by the local features 'orb'") == ""
 
 
 @pytest.mark.parametrize("what", SPOILT)

@@ -15,6 +15,7 @@ from conformodal.core.extras import require_extra
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.features.extract import FeatureCache
+from conformodal.features.local import DETECTORS
 from conformodal.features.settings import NETWORKS, TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
@@ -75,6 +76,12 @@ def train(
     sources: Annotated[str, _model(help="Pose sources of the belief, in order, separated by commas.")] = (
         ",".join(ModelConfig.sources)
     ),
+    features: Annotated[
+        str,
+        _model(
+            help=f"Local features: {', '.join(DETECTORS)}. xfeat recognises views from farther away, and takes longer."
+        ),
+    ] = ModelConfig.features,
     network: Annotated[str, _model(help=f"Network of the features: {', '.join(NETWORKS)}.")] = ModelConfig.network,
     n_bins: Annotated[int, _model("--bins", min=1, help="Bins per target (K).")] = ModelConfig.n_bins,
     epochs: Annotated[int, _model(min=1, help="Passes over the training part.")] = TrainingConfig.epochs,
@@ -125,10 +132,10 @@ def train(
 
     default_block(network)  # refuses a model of transformers that is not here, before images are read
     with lock_output(out, "train", apart=[*data, *([] if held_out is None else [held_out])]):
-        features = FeatureCache(cache_folder(cache))
+        cached = FeatureCache(cache_folder(cache))
         sequence = open_sequences(data, layout, test=held_out, trust_poses=trust_poses, focal=focal)
         with progress_bars(out) as report:
-            train_on(sequence, config, out, features=features, report=report)
+            train_on(sequence, config, out, features=cached, report=report)
     print_where(out)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
@@ -16,6 +16,9 @@ from conformodal.core.parallel import thread_limit
 from conformodal.io import THUMBNAIL, thumbnail
 
 from .settings import VisionError
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
 
 INPUT, OUTPUT = "images", "map"  # of networks in ONNX
 _PICTURE = THUMBNAIL[0] * THUMBNAIL[1]
@@ -66,6 +69,20 @@ class BackboneConfig:
     grid: tuple[int, int] = (6, 8)  # rows and columns the map is averaged into; (1, 1) loses positions
 
 
+def open_session(content: bytes) -> InferenceSession:
+    """A network in ONNX, ready to run; VisionError if it is none."""
+    with require_extra("run", "running a model"):
+        import onnxruntime  # noqa: PLC0415 - only where a network is run
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = thread_limit()
+    # idle threads that spin take the cores from tracking and search
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as exc:  # ONNX Runtime raises classes of its own, without a common one
+        raise VisionError(f"the network is not an ONNX file that ONNX Runtime reads: {exc}") from exc
+
+
 class Backbone:
     """A feature extractor: a network in ONNX, which ONNX Runtime runs without torch.
 
@@ -74,22 +91,13 @@ class Backbone:
     """
 
     def __init__(self, config: BackboneConfig, content: bytes) -> None:
-        with require_extra("run", "running a model"):
-            import onnxruntime  # noqa: PLC0415 - only where a network is run
         self.config, self.content = config, content
         # of all that decides the features
         self.fingerprint = hashlib.sha256(content + repr(THUMBNAIL).encode()).hexdigest()
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = thread_limit()
-        # idle threads that spin take the cores from tracking and search
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        try:
-            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-            shape = self._session.get_inputs()[0].shape[1:]
-            names = [node.name for node in (*self._session.get_inputs(), *self._session.get_outputs())]
-            size = self._session.get_outputs()[0].shape[-1]
-        except Exception as exc:  # ONNX Runtime raises classes of its own, without a common one
-            raise VisionError(f"the network is not an ONNX file that ONNX Runtime reads: {exc}") from exc
+        self._session = open_session(content)
+        shape = self._session.get_inputs()[0].shape[1:]
+        names = [node.name for node in (*self._session.get_inputs(), *self._session.get_outputs())]
+        size = self._session.get_outputs()[0].shape[-1]
         if names != [INPUT, OUTPUT] or shape != [config.height, config.width, 3]:
             raise VisionError(
                 f"the network must have the input {INPUT!r} (n, {config.height}, {config.width}, 3) and the output "

@@ -7,16 +7,21 @@ import warnings
 
 import numpy as np
 import torch
+from torch import nn
 
 from conformodal.core.extras import require_extra
+from conformodal.geometry import PinholeCamera
 
 from .backbone import INPUT, OUTPUT, Backbone, BackboneConfig
 from .extract import FeatureCache
+from .local import DETECTORS, XFEAT_SCALE, Detector
 from .networks import Network
 from .settings import VisionError
+from .xfeat import XFeat
 
 # What the oldest ONNX Runtime that is supported, 1.20, reads: IR 10 and opset 21. The exporter would write the newest.
 OPSET, IR_VERSION = 18, 10
+_LEAST_WIDTH = 400  # pixels; smaller images are not reduced for XFeat
 _TOLERANCE = 1e-3  # of the largest feature: rounding through some sixty layers; a wrong operator errs by far more
 
 
@@ -26,31 +31,49 @@ def make_backbone(config: BackboneConfig, cache: FeatureCache) -> Backbone:
     cached = cache.load(network.digest, "networks")
     if cached is not None:
         return Backbone(config, cached.tobytes())
-    backbone = Backbone(config, _export(network))
+    two = torch.zeros((2, config.height, config.width, 3), dtype=torch.uint8)
+    backbone = Backbone(config, _export(network, two, [INPUT], [OUTPUT], batched=True))
     _check_same(network, backbone)
     cache.store(network.digest, np.frombuffer(backbone.content, dtype=np.uint8), "networks")
     return backbone
 
 
-def _export(network: Network) -> bytes:
+def make_detector(name: str, camera: PinholeCamera, cache: FeatureCache) -> Detector:
+    """A detector of local features for images of a camera; its network, if it has one, is exported and cached."""
+    if name != "xfeat":
+        return DETECTORS[name]()
+    scale = XFEAT_SCALE if camera.width >= _LEAST_WIDTH else 1.0
+    width, height = (max(32, 32 * round(scale * side / 32)) for side in (camera.width, camera.height))
+    network = XFeat(width, height)
+    cached = cache.load(network.digest, "networks")
+    if cached is None:
+        image = torch.zeros((height, width), dtype=torch.uint8)
+        content = _export(network, image, ["image"], ["features", "logits", "reliability"])
+        cached = np.frombuffer(content, dtype=np.uint8)
+        cache.store(network.digest, cached, "networks")
+    return DETECTORS[name](cached.tobytes())
+
+
+def _export(
+    network: nn.Module, example: torch.Tensor, inputs: list[str], outputs: list[str], *, batched: bool = False
+) -> bytes:
     with require_extra("train", "the export of a network"):
         import onnxscript  # noqa: F401, PLC0415 - torch asks for it
-    two = torch.zeros((2, network.config.height, network.config.width, 3), dtype=torch.uint8)
     logging.disable(logging.WARNING)  # advice on packages that are not needed
     try:
         with warnings.catch_warnings(action="ignore"):
             program = torch.onnx.export(
                 network,
-                (two,),
+                (example,),
                 dynamo=True,
                 opset_version=OPSET,
-                input_names=[INPUT],
-                output_names=[OUTPUT],
-                dynamic_shapes={"images": {0: torch.export.Dim("n")}},
+                input_names=inputs,
+                output_names=outputs,
+                dynamic_shapes=({0: torch.export.Dim("n")},) if batched else None,
                 verbose=False,
             )
     except Exception as exc:  # whatever torch and onnxscript raise
-        raise VisionError(f"{network.config.name} cannot be exported to ONNX: {exc}") from exc
+        raise VisionError(f"{type(network).__name__} cannot be exported to ONNX: {exc}") from exc
     finally:
         logging.disable(logging.NOTSET)
     assert program is not None

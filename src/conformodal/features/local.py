@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple, Self, TypeAlias
+from typing import ClassVar, NamedTuple, Self, TypeAlias
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array
 from conformodal.geometry import PinholeCamera
@@ -15,13 +16,22 @@ from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import thumbnail
 from conformodal.io.decoding import grey_image
 
-DESCRIPTOR_BYTES = 32
-MAX_CORNERS = 500
-_LEVELS = 4  # of the pyramid; with more, corners come from coarse levels and poses get worse
+from .backbone import open_session
+from .settings import VisionError
+
+_ORB_BYTES, _ORB_CORNERS = 32, 500
+_LEVELS = 4  # of ORB's pyramid; with more, corners come from coarse levels and poses get worse
 _BLUR_PX = 1.2  # before detection: pixel noise of a sigma of 0.2 then leaves descriptors nearly unchanged
 _LEAST_WIDTH_PX = 320  # smaller images are enlarged: descriptors look at 31 pixels around a corner
-_RATIO = 0.85  # of the distances to the nearest and the second nearest descriptor (Lowe 2004)
-_MOST_ALIKE = 8 * DESCRIPTOR_BYTES / 4  # product of equal rows, see _halves
+XFEAT_SCALE, _XFEAT_CORNERS, _XFEAT_CHANNELS = 0.7, 800, 64
+_CELL = 8  # pixels across of XFeat's cells
+_LEAST_HEAT = 0.05  # of a corner
+_SUPPRESSED_PX = 5  # across; the hottest pixel of a window is its only corner
+_UNIT = 254.0  # length of directions as bytes: their components rarely exceed a half
+# Matches of bits: ratio of the distances to the nearest and the second nearest (Lowe 2004); of directions: cosine
+_RATIO, _LEAST_COSINE = 0.85, 0.75
+# of matches where a pose says that they are: at most 64 of 256 bits differ; cosine
+_GUIDED_BITS, _GUIDED_COSINE = 0.5, 0.75
 
 QUALITIES = ("brightness", "contrast", "detail")
 NOT_MEASURED: FloatArray = np.full(len(QUALITIES), np.nan)
@@ -29,11 +39,15 @@ _MARGIN = 0.1  # of the range of each quality, at each end
 _DETAIL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
 
 
+# of corners, row by row: bits (uint8, packed), or directions of length 254 (int8)
+Descriptors: TypeAlias = UInt8Array | npt.NDArray[np.int8]
+
+
 class LocalFeatures(NamedTuple):
     """Corners of an image with their descriptors, and its global descriptor."""
 
     pixels: FloatArray  # (n, 2) undistorted corners
-    descriptors: UInt8Array  # (n, 32)
+    descriptors: Descriptors  # (n, B)
     global_descriptor: Float32Array  # at unit length: thumbnail or network's map
     quality: FloatArray = NOT_MEASURED  # (3,), see image_quality
     flow: FloatArray = NO_FLOW  # (2, 3), see conformodal.tracking.tracker.affine_flow
@@ -52,54 +66,145 @@ class Corners(NamedTuple):
     """What a detector finds in an image."""
 
     pixels: FloatArray  # (n, 2)
-    descriptors: UInt8Array  # (n, 32)
+    descriptors: Descriptors  # (n, B)
 
 
-# from a grey image (height, width)
-Detector: TypeAlias = Callable[[UInt8Array], Corners]
+class Detector(ABC):
+    """Corners and descriptors of images: a class of :data:`DETECTORS`, made from its network in ONNX, if it has one."""
+
+    name: ClassVar[str]  # in saved models and on the command line
+    nothing: ClassVar[Corners]  # of an image without corners; its descriptors tell type and length of all
+
+    def __init__(self, content: bytes = b"") -> None:
+        self.content = content
+
+    @abstractmethod
+    def __call__(self, grey: UInt8Array) -> Corners:
+        """Of a grey image (height, width)."""
 
 
-def detect_orb(grey: UInt8Array) -> Corners:
-    """ORB (Rublee et al. 2011), in small images enlarged."""
-    enlarged = -(-_LEAST_WIDTH_PX // grey.shape[1])
-    if enlarged > 1:
-        grey = np.asarray(cv2.resize(grey, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_LINEAR), np.uint8)
-    grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), _BLUR_PX), np.uint8)
-    corners, descriptors = cv2.ORB.create(
-        MAX_CORNERS, 1.2, _LEVELS, edgeThreshold=16, fastThreshold=5
-    ).detectAndCompute(grey, None)
-    if descriptors is None:
-        return Corners(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES), np.uint8))
-    # pixel centres are whole numbers, so that enlarging moves them by half a pixel
-    pixels = (np.array([corner.pt for corner in corners]) + 0.5) / enlarged - 0.5
-    return Corners(pixels, np.asarray(descriptors, np.uint8))
+class OrbDetector(Detector):
+    """ORB (Rublee et al. 2011), in small images enlarged; it has no network."""
+
+    name = "orb"
+    nothing = Corners(np.empty((0, 2)), np.empty((0, _ORB_BYTES), np.uint8))
+
+    def __call__(self, grey: UInt8Array) -> Corners:
+        """As of the class above."""
+        enlarged = -(-_LEAST_WIDTH_PX // grey.shape[1])
+        if enlarged > 1:
+            grey = np.asarray(cv2.resize(grey, None, fx=enlarged, fy=enlarged), np.uint8)
+        grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), _BLUR_PX), np.uint8)
+        orb = cv2.ORB.create(_ORB_CORNERS, 1.2, _LEVELS, edgeThreshold=16, fastThreshold=5)
+        corners, descriptors = orb.detectAndCompute(grey, None)
+        if descriptors is None:
+            return self.nothing
+        # pixel centres are whole numbers, so that enlarging moves them by half a pixel
+        pixels = (np.array([corner.pt for corner in corners]) + 0.5) / enlarged - 0.5
+        return Corners(pixels, np.asarray(descriptors, np.uint8))
 
 
-DETECTORS: dict[str, Detector] = {"orb": detect_orb}
+class XFeatDetector(Detector):
+    """XFeat (Potje et al. 2024), with corners located to parts of a pixel; its network is for one size of images."""
+
+    name = "xfeat"
+    nothing = Corners(np.empty((0, 2)), np.empty((0, _XFEAT_CHANNELS), np.int8))
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__(content)
+        self._session = open_session(content)
+        shapes = [node.shape for node in (*self._session.get_inputs(), *self._session.get_outputs())]
+        self._height, self._width = (int(side) for side in shapes[0]) if len(shapes[0]) == 2 else (0, 0)
+        cells = [self._height // _CELL, self._width // _CELL]
+        if shapes[1:] != [[_XFEAT_CHANNELS, *cells], [_CELL**2 + 1, *cells], cells]:
+            raise VisionError(f"the network of local features must be XFeat's, got one of shapes {shapes}")
+
+    def __call__(self, grey: UInt8Array) -> Corners:
+        """As of the class above."""
+        width, height = self._width, self._height
+        grey_reduced = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
+        features, logits, reliability = self._session.run(None, {self._session.get_inputs()[0].name: grey_reduced})
+        rows, columns = height // _CELL, width // _CELL
+        odds = np.exp(logits - logits.max(axis=0))
+        shares = (odds[:-1] / odds.sum(axis=0)).reshape(_CELL, _CELL, rows, columns)
+        heat = np.ascontiguousarray(shares.transpose(2, 0, 3, 1)).reshape(height, width)
+        hottest = cv2.dilate(heat, np.ones((_SUPPRESSED_PX, _SUPPRESSED_PX), np.uint8))
+        index = np.flatnonzero((heat == hottest) & (heat > _LEAST_HEAT))
+        score = heat.ravel()[index] * cv2.resize(reliability, (width, height)).ravel()[index]
+        index = index[np.argsort(-score, kind="stable")[:_XFEAT_CORNERS]]
+        if index.size == 0:
+            return self.nothing
+        pixels = _located(heat, index)
+        unit = features.reshape(_XFEAT_CHANNELS, -1).T
+        unit = (unit / np.linalg.norm(unit, axis=1, keepdims=True)).reshape(rows, columns, -1)
+        descriptors = _interpolated(unit, (pixels + 0.5) / _CELL - 0.5)
+        descriptors *= _UNIT / np.linalg.norm(descriptors, axis=1, keepdims=True)
+        pixels = (pixels + 0.5) * (grey.shape[1] / width, grey.shape[0] / height) - 0.5
+        return Corners(pixels, np.clip(np.rint(descriptors), -127, 127).astype(np.int8))
 
 
-def extract_local_features(image: UInt8Array, camera: PinholeCamera, detector: str = "orb") -> LocalFeatures:
-    """Local features, of one of :data:`DETECTORS`, and global descriptor of an image (height, width[, 3])."""
+def _located(heat: Float32Array, index: IntArray) -> FloatArray:
+    """Pixels (n, 2) where parabolas through the logarithm of the heat at local maxima and beside them are highest."""
+    height, width = heat.shape
+    y, x = np.divmod(index, width)
+
+    def offset(before: Float32Array, here: Float32Array, after: Float32Array) -> Float32Array:
+        curvature = np.maximum(2 * here - before - after, 1e-3)
+        return np.asarray(np.clip((after - before) / (2 * curvature), -0.5, 0.5))
+
+    log = np.log(heat + 1e-4)
+    across = offset(log[y, np.maximum(x - 1, 0)], log[y, x], log[y, np.minimum(x + 1, width - 1)])
+    down = offset(log[np.maximum(y - 1, 0), x], log[y, x], log[np.minimum(y + 1, height - 1), x])
+    return np.column_stack((x + across, y + down)).astype(np.float64)
+
+
+def _interpolated(grid: Float32Array, points: FloatArray) -> Float32Array:
+    """Values (n, c) of a grid (rows, columns, c) between its points (x, y), bilinear."""
+    points = np.clip(points, 0, (grid.shape[1] - 1, grid.shape[0] - 1))
+    x, y = np.minimum(points.astype(np.int64), (grid.shape[1] - 2, grid.shape[0] - 2)).T
+    right, lower = (points - np.column_stack((x, y))).astype(np.float32).T[..., None]
+    upper_row = grid[y, x] * (1 - right) + grid[y, x + 1] * right
+    lower_row = grid[y + 1, x] * (1 - right) + grid[y + 1, x + 1] * right
+    return np.asarray(upper_row * (1 - lower) + lower_row * lower)
+
+
+DETECTORS: dict[str, type[Detector]] = {"orb": OrbDetector, "xfeat": XFeatDetector}
+ORB = OrbDetector()
+
+
+def extract_local_features(image: UInt8Array, camera: PinholeCamera, detector: Detector = ORB) -> LocalFeatures:
+    """Local features and global descriptor of an image (height, width[, 3])."""
     grey = grey_image(image)
-    corners = DETECTORS[detector](grey)
+    corners = detector(grey)
     return LocalFeatures(camera.undistort(corners.pixels), corners.descriptors, thumbnail(grey), image_quality(grey))
 
 
-def match(descriptors: UInt8Array, others: UInt8Array) -> IntArray:
-    """Mutually unambiguous matches (m, 2) between rows of two sets of descriptors, by Lowe's ratio test."""
+def match(descriptors: Descriptors, others: Descriptors) -> IntArray:
+    """Matches (m, 2) between rows of two sets of descriptors, each row in one match at most.
+
+    Bits: the nearest, clearly nearer than the second. Directions: the nearest to each other, if they are alike enough.
+    """
     if len(descriptors) == 0 or len(others) < 2:
         return np.empty((0, 2), np.int64)
-    alike = _halves(descriptors) @ _halves(others).T
+    alike = _unit_rows(descriptors) @ _unit_rows(others).T
     every = np.arange(len(alike))
     nearest = alike.argmax(axis=1)
     first = alike[every, nearest]
-    alike[every, nearest] = -np.inf
-    distance, second = _MOST_ALIKE - first, _MOST_ALIKE - alike.max(axis=1)
-    rows = np.flatnonzero(distance < _RATIO * second)
-    rows = rows[np.argsort(distance[rows], kind="stable")]
+    if descriptors.dtype == np.int8:
+        rows = np.flatnonzero((first >= _LEAST_COSINE) & (first == alike.max(axis=0)[nearest]))
+    else:
+        alike[every, nearest] = -np.inf
+        rows = np.flatnonzero(1 - first < _RATIO * (1 - alike.max(axis=1)))
+    rows = rows[np.argsort(-first[rows], kind="stable")]
     _, best = np.unique(nearest[rows], return_index=True)
     rows = rows[best]
     return np.column_stack((rows, nearest[rows])).astype(np.int64)
+
+
+def alike_enough(descriptors: Descriptors, others: Descriptors) -> tuple[Float32Array, BoolArray]:
+    """Similarity (n,) of rows one by one, and whether it is enough where a pose says that they match."""
+    alike = np.einsum("ij,ij->i", _unit_rows(descriptors), _unit_rows(others))
+    return alike, alike > (_GUIDED_COSINE if descriptors.dtype == np.int8 else _GUIDED_BITS)
 
 
 class Matcher:
@@ -116,9 +221,12 @@ class Matcher:
         return self._cached[key][2]
 
 
-def _halves(descriptors: UInt8Array) -> Float32Array:
-    """Bits as -0.5 and 0.5: a matrix product of such rows counts differing bits faster than a loop."""
-    return np.unpackbits(descriptors, axis=1).astype(np.float32) - np.float32(0.5)
+def _unit_rows(descriptors: Descriptors) -> Float32Array:
+    """Rows whose product is the similarity: cosine of directions, and 1 - 2 * share of bits that differ."""
+    if descriptors.dtype == np.int8:
+        return descriptors.astype(np.float32) / np.float32(_UNIT)
+    bits = np.unpackbits(descriptors.view(np.uint8), axis=1)
+    return (bits.astype(np.float32) - np.float32(0.5)) * np.float32(2 / np.sqrt(bits.shape[1]))
 
 
 def image_quality(grey: UInt8Array) -> FloatArray:

@@ -152,7 +152,7 @@ def calibrate_disturbed(
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         most = -(-_MOST_DISTURBED // len(folds.folds))
         frames = fold.held_out[:: -(-len(fold.held_out) // most)]
-        copies = in_threads(partial(frame_features, sequence), frames.tolist())
+        copies = in_threads(partial(frame_features, sequence, detector=data.detector), frames.tolist())
         left = quality.left_by(np.array([one.quality for one in copies]))
         if not left.any():
             continue

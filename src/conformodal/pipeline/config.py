@@ -10,6 +10,7 @@ from conformodal.conformal import ConformodalError, QuantileBins
 from conformodal.conformal.checks import as_alpha, as_choice
 from conformodal.conformal.scores import resolve_score
 from conformodal.core.ranges import as_member, check_ranges, check_shares
+from conformodal.features.local import DETECTORS
 from conformodal.features.settings import TrainingConfig, check_network
 from conformodal.io import SplitKind
 from conformodal.localizer.sources.registry import find_source
@@ -61,6 +62,7 @@ class ModelConfig:
     novelty_level: float | None = None
     # in the order in which they are fused, see :class:`~conformodal.localizer.sources.registry.PoseSource`
     sources: tuple[str, ...] = ("head", "neighbours", "landmarks")
+    features: str = "orb"  # local ones, of :data:`~conformodal.features.local.DETECTORS`
     network: str = "efficientnet_lite0"  # of :data:`~conformodal.features.settings.NETWORKS`, or ``hf:NAME``
     seed: int = 0  # of the split and of training
     training: TrainingConfig = field(default_factory=TrainingConfig)  # of the head
@@ -75,6 +77,8 @@ class ModelConfig:
         resolve_score(self.score)
         QuantileBins(self.n_bins, self.margin).check_parameters()
         check_network(self.network)
+        if self.features not in DETECTORS:
+            raise OdometryError(f"features must be one of {', '.join(DETECTORS)}, got {self.features!r}")
         if not self.sources or len(set(self.sources)) < len(self.sources):
             raise OdometryError(f"sources must be different names, at least one, got {self.sources}")
         for name in self.sources:

@@ -231,7 +231,7 @@ class VisualOdometry(Odometry):
         motion = self._front_end.measure(grey)
         local_features = []
         if self.model.looks_at_local_features:
-            local_features = [extract_local_features(grey, self.model.camera)]
+            local_features = [extract_local_features(grey, self.model.camera, self.model.detector)]
             if self._usable_s is not None:
                 flow = affine_flow(self._front_end.tracker.step, timestamp_s - self._usable_s, self.model.camera)
                 local_features = [local_features[0]._replace(flow=flow)]

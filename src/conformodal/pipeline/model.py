@@ -16,7 +16,7 @@ from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, 
 from conformodal.core.ranges import check_ranges
 from conformodal.core.words import counted
 from conformodal.features.backbone import Backbone
-from conformodal.features.local import QualityRange
+from conformodal.features.local import ORB, Detector, QualityRange
 from conformodal.geometry import PinholeCamera
 from conformodal.io import Recording, Split, SplitKind
 from conformodal.localizer.candidates import Candidates
@@ -168,10 +168,15 @@ class PoseModel:
     path_rules: dict[str, SplitConformal] = field(default_factory=dict)
     # of the images that the sources know; images beyond are disturbed. None where disturbed ones are not calibrated
     quality: QualityRange | None = None
+    detector: Detector = ORB  # of local features
 
     def __post_init__(self) -> None:
         if self.looks_at_local_features and not self.localizer.local:
             raise OdometryError("the calibration is that of beliefs with local features, and no source uses them")
+        if self.landmarks is not None:
+            given, expected = self.landmarks.map.descriptors, self.detector.nothing.descriptors
+            if given.dtype != expected.dtype or given.shape[1:] != expected.shape[1:]:
+                raise OdometryError(f"the landmarks are not described by the local features {self.detector.name!r}")
 
     @property
     def method(self) -> Method:

@@ -30,7 +30,7 @@ from conformodal.core.ranges import RANGES, Range
 from conformodal.core.schema import ArraySpec, ListOf, check_arrays, check_json
 from conformodal.core.words import finite_or_none
 from conformodal.features.backbone import Backbone, BackboneConfig
-from conformodal.features.local import QualityRange
+from conformodal.features.local import DETECTORS, Detector, QualityRange
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.camera import CAMERA_JSON
 from conformodal.io import Split, SplitKind
@@ -44,9 +44,13 @@ from .config import Method
 from .identity import FrameIdentities
 from .model import PATHS, ExpectedInput, PoseModel, SourceComparison, path_rule
 
-FORMAT = "conformodal-model-23"
+FORMAT = "conformodal-model-24"
 _JSON = "model.json"
-_FILES = {"weights": "weights-{}.safetensors", "network": "network-{}.onnx"}  # with the first digits of their digests
+_FILES = {
+    "weights": "weights-{}.safetensors",
+    "network": "network-{}.onnx",
+    "detector": "detector-{}.onnx",
+}  # with the first digits of their digests
 # what reading damaged files raises: ValueError is every error of this package too, RuntimeError JSON without end
 _DAMAGE = (SafetensorError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError, RuntimeError)
 _PARTS = ("train", "calibration", "test")
@@ -123,6 +127,8 @@ _RECORD: dict[str, Any] = {  # the content of model.json, without its digest
     ),
     "weights": str,
     "network": str,
+    "detector": str,
+    "features": {*DETECTORS},
 }
 
 
@@ -136,7 +142,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
     arrays = {f"source.{name}.{k}": v for name, state in states.items() for k, v in state.arrays.items()}
     arrays |= {k: v for k, v in _arrays(model).items() if v is not None}
     weights = save_tensors({k: np.ascontiguousarray(v) for k, v in arrays.items()})
-    contents = {"weights": weights, "network": model.backbone.content}
+    contents = {"weights": weights, "network": model.backbone.content, "detector": model.detector.content}
     record: dict[str, Any] = {
         "format": FORMAT,
         "backbone": asdict(model.backbone.config),
@@ -151,6 +157,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "camera": asdict(model.camera),
         "split": {"kind": str(model.split.kind), "seed": model.split.seed},
         "step_s": model.expected_input.step_s,
+        "features": model.detector.name,
         "configuration": model.configuration,
         "comparison": None if model.comparison is None else asdict(model.comparison),
         **{name: hashlib.sha256(contents[name]).hexdigest() for name in _FILES},
@@ -265,6 +272,8 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path)
     config = BackboneConfig(**record["backbone"] | {"grid": grid})
     with _naming("backbone"):
         backbone = Backbone(config, _read(folder, "network", record))
+    with _naming("detector"):
+        detector: Detector = DETECTORS[record["features"]](_read(folder, "detector", record))
     sizes = {"n_features": backbone.n_features, "n_coarse": backbone.n_coarse, "n_rows": rows, "n_columns": columns}
     check_arrays({k: v for k, v in arrays.items() if not k.startswith("source.")}, _ARRAYS, sizes)
     bins = QuantileBins.from_edges([arrays[f"bins.{j}"] for j in range(len(TARGET_NAMES))])
@@ -292,6 +301,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path)
         prior=_prior(record["prior"]),
         camera=PinholeCamera(**record["camera"]),
         split=Split(split["kind"], split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
+        detector=detector,
         known_frames=FrameIdentities(arrays["frames.files"], arrays["frames.poses"]),
         expected_input=ExpectedInput(float(record["step_s"]), arrays["colours"]),
         configuration=record["configuration"],

@@ -41,7 +41,7 @@ def prepare_training_data(
 ) -> TrainingData:
     """Split a sequence with poses and compute the features of all its frames."""
     with require_extra("train", "training"):
-        from conformodal.features.export import make_backbone  # noqa: PLC0415
+        from conformodal.features.export import make_backbone, make_detector  # noqa: PLC0415
         from conformodal.features.networks import backbone_config  # noqa: PLC0415
 
     truth = sequence.require_truth()
@@ -62,7 +62,8 @@ def prepare_training_data(
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])
     targets = pose_targets(truth, reference)
     features = extract_features(sequence.image_paths, backbone, cache, stage_of(progress, "features"), sequence.noise)
-    return TrainingData(sequence, split, backbone, features, targets, reference, cache)
+    detector = make_detector(config.features, sequence.camera, cache)
+    return TrainingData(sequence, split, backbone, features, targets, reference, cache, detector)
 
 
 def train_model(
@@ -135,6 +136,7 @@ def train_model(
         comparison=compare_sources(sources, localizers, localizer, novelty, rules, test) if stretches else None,
         path_rules=path_rules,
         quality=regions.quality,
+        detector=data.detector,
     )
 
 

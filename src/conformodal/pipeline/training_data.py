@@ -15,6 +15,7 @@ from conformodal.core.ranges import as_member
 from conformodal.features.backbone import Backbone
 from conformodal.features.extract import FeatureCache
 from conformodal.features.head import Projection
+from conformodal.features.local import ORB, Detector
 from conformodal.geometry import matrix_from_quat_wxyz
 from conformodal.geometry.adjustment import MAD_OF_NORMAL
 from conformodal.io import Recording, Split, SplitKind, held_out_together
@@ -47,10 +48,12 @@ class TrainingData:
     targets: FloatArray
     sign_reference: FloatArray
     cache: FeatureCache = field(default_factory=lambda: FeatureCache(None))
+    detector: Detector = ORB  # of local features
 
     @cached_property
     def _shared(self) -> SourceData:
-        return SourceData(self.sequence, self.features, self.targets, self.sign_reference, self.split.kind)
+        shared = self.sequence, self.features, self.targets, self.sign_reference, self.split.kind
+        return SourceData(*shared, detector=self.detector)
 
     @cached_property
     def depths(self) -> tuple[float, float]:

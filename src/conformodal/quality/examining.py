@@ -10,7 +10,7 @@ import numpy as np
 from conformodal.core.arrays import IntArray, evenly_spread
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.features.local import LocalFeatures
+from conformodal.features.local import Detector, LocalFeatures
 from conformodal.geometry import PoseError, Trajectory
 from conformodal.io import ImageError, Recording
 from conformodal.localizer.evidence import FrameEvidence
@@ -79,7 +79,7 @@ def examine(
         return RecordingQuality(sequence, posed, poses, trained, scale, coverage)
     held_out = np.setdiff1d(np.arange(len(sequence)), trained)
     most = QUALITY.most_after_training if just_trained else QUALITY.most_looked
-    local = _features_of(sequence, held_out[evenly_spread(len(held_out), most)], progress)
+    local = _features_of(sequence, held_out[evenly_spread(len(held_out), most)], model.detector, progress)
     places, readable = None, np.array(list(local), dtype=np.int64)
     if local:
         files, stage = [sequence.image_paths[i] for i in local], stage_of(progress, "network")
@@ -96,12 +96,14 @@ def scene_depth(sequence: Recording) -> float:
     return float("nan")
 
 
-def _features_of(sequence: Recording, frames: IntArray, progress: StageProgress | None) -> dict[int, LocalFeatures]:
+def _features_of(
+    sequence: Recording, frames: IntArray, detector: Detector, progress: StageProgress | None
+) -> dict[int, LocalFeatures]:
     """Local features of the frames whose images can be read."""
     report, local = stage_of(progress, "held-out"), dict[int, LocalFeatures]()
     for done, i in enumerate(frames.tolist(), start=1):
         with suppress(ImageError):
-            local[i] = frame_features(sequence, i)
+            local[i] = frame_features(sequence, i, detector)
         if report is not None:
             report(done, len(frames))
     return local

@@ -28,7 +28,8 @@ def looked_at(world, monkeypatch):
     asked, features = [], world.local_features()
     monkeypatch.setattr(Recording, "image", lambda self, i: i)
     monkeypatch.setattr(
-        "conformodal.localizer.sources.registry.frame_features", lambda sequence, i: asked.append(i) or features[i]
+        "conformodal.localizer.sources.registry.frame_features",
+        lambda sequence, i, detector: asked.append(i) or features[i],
     )
     # errors learnt from fewer frames: a third of the time
     monkeypatch.setattr("conformodal.localizer.sources.landmarks._LEFT_OUT", 15)

@@ -22,7 +22,7 @@ from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.schema import ArraySchema, ArraySpec, check_arrays, check_json
 from conformodal.features.backbone import at_unit_length, coarse_features, feature_views
 from conformodal.features.head import Projection, fit_projection
-from conformodal.features.local import LocalFeatures, Matcher
+from conformodal.features.local import ORB, Detector, LocalFeatures, Matcher
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Recording, SplitKind, held_out_together
 from conformodal.localizer import LocalizationError
@@ -48,6 +48,7 @@ class SourceData:
     sigma_bins: float = 0.7  # of order-aware labels
     training: TrainingConfig = field(default_factory=TrainingConfig)  # of networks
     progress: StageProgress | None = None
+    detector: Detector = ORB  # of local features
     matcher: Matcher = field(default_factory=Matcher)
     _local_features: dict[int, LocalFeatures] = field(default_factory=dict)
     _extracting: Lock = field(default_factory=Lock)
@@ -80,7 +81,7 @@ class SourceData:
         report = stage_of(self.progress, "local features")
         with self._extracting:  # sources that learn at the same time share them
             missing = [i for i in frames.tolist() if i not in self._local_features]
-            extracted = in_threads(partial(frame_features, self.sequence), missing, report)
+            extracted = in_threads(partial(frame_features, self.sequence, detector=self.detector), missing, report)
             if missing and self.grid is not None:
                 maps = at_unit_length(coarse_features(self.features[missing], self.grid))
                 extracted = [one._replace(global_descriptor=row) for one, row in zip(extracted, maps, strict=True)]
