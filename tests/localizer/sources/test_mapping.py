@@ -7,7 +7,7 @@ from conformodal.geometry.camera import NO_FLOW
 from conformodal.geometry.map_poses import ROUNDS
 from conformodal.localizer.sources import mapping
 from conformodal.localizer.sources.landmarks import MIN_INLIERS, LandmarkMap
-from tests.localizer.sources.conftest import CAMERA, DEPTH, make_world
+from tests.localizer.sources.conftest import CAMERA, DEPTH, make_world, poses_along
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +117,25 @@ def test_two_places_that_look_alike_give_two_estimates(world_of, stated_camera, 
     assert len(estimates) == 2
     near = sorted(estimate.position_xyz[0] for estimate in estimates)
     assert near[1] - near[0] == pytest.approx(100, abs=0.05)
+
+
+def test_a_place_is_solved_once_though_keyframes_far_apart_show_it(monkeypatch, world_of, stated_camera, depth_m):
+    world = world_of()
+    world.poses_se3 = poses_along(60, sideways=6.0)
+    landmarks = LandmarkMap.build(world.local_features()[::4], world.poses_se3[::4], stated_camera, depth_m)
+    image = world.see(world.poses_se3[30], seed=3)
+    monkeypatch.setattr("conformodal.localizer.sources.landmarks._MAX_DISTANCE_RATIO", 100)
+    (once,) = landmarks.localize(image)
+    monkeypatch.setattr(LandmarkMap, "_agree", lambda *_: False)
+    every = landmarks.localize(image)
+    assert len(every) > 1
+    assert max(np.linalg.norm(one.position_xyz - once.position_xyz) for one in every) < 0.02
+
+
+def test_a_keyframe_keeps_at_most_300_landmarks(mapped):
+    counts = np.diff(mapped[1].starts)
+    assert counts.max() == 300
+    assert len(mapped[1].points_xyz) == counts.sum()
 
 
 def test_an_image_of_something_else_gives_no_estimate(mapped):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -13,13 +13,13 @@ import poselib
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array, evenly_spread
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, evenly_spread
 from conformodal.core.parallel import in_threads
 from conformodal.core.progress import Progress, stage_of
 from conformodal.core.ranges import Range
 from conformodal.core.schema import ArraySpec
 from conformodal.features.backbone import at_unit_length
-from conformodal.features.local import LocalFeatures, Matcher, match
+from conformodal.features.local import Descriptors, LocalFeatures, Matcher, alike_enough, match
 from conformodal.geometry import PinholeCamera, Trajectory, angle_between_quats, cross_matrices, rigid_motions
 from conformodal.geometry.adjustment import MEDIAN_OF_NORM2
 from conformodal.geometry.camera import CAMERA_JSON
@@ -46,7 +46,7 @@ _ARRAYS = {
     "global_descriptors": ArraySpec("e", ("n_keyframes", "n_coarse")),
     "starts": ArraySpec("lq", ("n_starts",)),
     "points_xyz": ArraySpec("f", ("n_landmarks", 3)),
-    "descriptors": ArraySpec("B", ("n_landmarks", 32), "anything"),
+    "descriptors": ArraySpec("Bb", ("n_landmarks", "n_bytes"), "anything"),
     "corrections": ArraySpec("d", ("n_keyframes", 6), "finite or NaN"),
 }
 _SETTINGS = {
@@ -67,6 +67,7 @@ _SPREAD = 0.05  # scene depths plus radians by which keyframes of a cluster diff
 _RADIUS = 0.5  # of a cluster, as a share of the scene's depth
 _MAX_DISTANCE_RATIO = 5.0  # descriptor distance of a cluster over that of the first
 MIN_INLIERS = 12  # of a pose
+_AGREEING = 6  # matches of a keyframe that agree with a pose by more than chance
 _MAX_REPROJECTION_PX = 6.0
 _RANSAC = {"max_reproj_error": _MAX_REPROJECTION_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
 _REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 1.0, "max_iterations": 10}  # more take long and hardly move a pose
@@ -79,7 +80,15 @@ _SAME_PLACE = 0.5  # share of the scene's depth within which an estimate is of t
 # guides (wrong ones have fewer), keyframes, and the number nearest to the pose that these are chosen from
 _GUIDING_INLIERS, _GUIDING_KEYFRAMES, _CONSIDERED = 30, 6, 100
 _RADIUS_PX, _CORNERS = 8.0, 4  # corners nearest to a landmark that are compared with it
-_MOST_BITS = 64  # in which descriptors differ
+
+
+class _Solution(NamedTuple):
+    """A pose and the matches that agree with it: corners and landmarks (m,)."""
+
+    T_world_cam: FloatArray
+    corners: IntArray
+    landmarks: IntArray
+    inlier_share: float  # of the corners that matched at first
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +110,7 @@ class LandmarkMap:
     global_descriptors: npt.NDArray[np.float16]  # (n, G)
     starts: IntArray  # (n + 1,) landmarks of keyframe i are starts[i] to starts[i + 1]
     points_xyz: Float32Array  # (N, 3) metres
-    descriptors: UInt8Array  # (N, 32)
+    descriptors: Descriptors  # (N, B)
     corrections: FloatArray  # (n, 6) adjusted minus given pose of each keyframe: metres and a rotation vector, world
     depth_m: float  # median depth of the scene
 
@@ -150,9 +159,28 @@ class LandmarkMap:
         """
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
         matches, image = {} if matches is None else matches, image.at_pose_time(self.shutter, self.camera)
-        places = self._retrieve(image.global_descriptor, shown)
-        estimates = (self._solve(image, near, shown, matches) for near in places)
-        return [estimate for estimate in estimates if estimate is not None]
+        solutions: list[_Solution] = []
+        for near in self._retrieve(image.global_descriptor, shown):
+            first = self._matched(image, near[:1], matches)
+            if not any(self._agree(first, image, one.T_world_cam) for one in solutions):
+                solution = self._solve(image, self._matched(image, near, matches), shown)
+                solutions += [] if solution is None else [solution]
+        measured = (self._measured(image, one, shown) for one in solutions)
+        return [one for one in measured if one is not None]
+
+    def _matched(self, image: LocalFeatures, frames: IntArray, matches: dict[int, IntArray]) -> IntArray:
+        """Corners of an image and landmarks of some keyframes (m, 2) that match."""
+        for frame in frames.tolist():
+            if frame not in matches:
+                pairs = match(image.descriptors, self.descriptors[self.starts[frame] : self.starts[frame + 1]])
+                matches[frame] = np.add(pairs, (0, self.starts[frame]))
+        return np.concatenate([matches[frame] for frame in frames.tolist()])
+
+    def _agree(self, pairs: IntArray, image: LocalFeatures, T_world_cam: FloatArray) -> bool:
+        """Whether matches of a keyframe show what a pose says already: solving them would give that pose again."""
+        pixels, ahead = self._projected(self.points_xyz[pairs[:, 1]].astype(np.float64), T_world_cam)
+        near = np.linalg.norm(pixels - image.pixels[pairs[:, 0]], axis=1) < _MAX_REPROJECTION_PX
+        return int((ahead & near).sum()) >= _AGREEING
 
     def _retrieve(self, descriptor: Float32Array, shown: BoolArray) -> list[IntArray]:
         """Keyframes similar to an image, clustered by position, in order of similarity."""
@@ -184,16 +212,10 @@ class LandmarkMap:
         apart = np.linalg.norm(poses[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
         return np.asarray(apart + np.arccos(np.clip(poses[:, :3, 2] @ T_world_pose[:3, 2], -1, 1)))
 
-    def _solve(
-        self, image: LocalFeatures, near: IntArray, shown: BoolArray, matches: dict[int, IntArray]
-    ) -> PoseMeasurement | None:
-        for frame in near.tolist():
-            if frame not in matches:
-                pairs = match(image.descriptors, self.descriptors[self.starts[frame] : self.starts[frame + 1]])
-                matches[frame] = np.add(pairs, (0, self.starts[frame]))
-        corners, landmarks = np.concatenate([matches[frame] for frame in near.tolist()]).T
-        points = self.points_xyz[landmarks].astype(np.float64)
-        pixels = image.pixels[corners]
+    def _solve(self, image: LocalFeatures, pairs: IntArray, shown: BoolArray) -> _Solution | None:
+        """The pose of an image from matches (m, 2) of corners and landmarks, some of them right."""
+        corners, landmarks = pairs.T
+        points, pixels = self.points_xyz[landmarks].astype(np.float64), image.pixels[corners]
         if len(pixels) < MIN_INLIERS:
             return None
         pose, info = poselib.estimate_absolute_pose(pixels, points, self.camera.poselib(), _RANSAC, _REFINEMENT)
@@ -214,7 +236,13 @@ class LandmarkMap:
             inliers = ahead & (np.linalg.norm(pixels_seen - pixels, axis=1) < _MAX_REPROJECTION_PX)
             if inliers.sum() < MIN_INLIERS:
                 return None
-        sigmas = self._spreads(pixels[inliers], points[inliers], T_world_cam[:3, :3], T_world_cam[:3, 3])
+        return _Solution(T_world_cam, corners[inliers], landmarks[inliers], share)
+
+    def _measured(self, image: LocalFeatures, solution: _Solution, shown: BoolArray) -> PoseMeasurement | None:
+        """The estimate of a solution, in the given frame; None where its inliers do not determine it."""
+        T_world_cam, pixels = solution.T_world_cam, image.pixels[solution.corners]
+        points = self.points_xyz[solution.landmarks].astype(np.float64)
+        sigmas = self._spreads(pixels, points, T_world_cam[:3, :3], T_world_cam[:3, 3])
         if sigmas is None:
             return None
         T_world_pose = T_world_cam @ np.linalg.inv(self.T_pose_cam)
@@ -222,8 +250,9 @@ class LandmarkMap:
         sigma_m, sigma_rad = np.hypot(sigmas, scatter).tolist()
         turn = Rotation.from_rotvec(-off[3:]) * Rotation.from_matrix(T_world_pose[:3, :3])
         position, quat = self.origin_xyz + T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True)
-        agreeing = np.unique(corners[inliers])
+        agreeing = np.unique(solution.corners)
         image_share = self._share_of_image(image.pixels[agreeing])
+        share = solution.inlier_share
         return PoseMeasurement(position, quat, sigma_m, sigma_rad, len(agreeing), 1.0, share, image_share, apart)
 
     def _guided(self, image: LocalFeatures, T_world_cam: FloatArray, shown: BoolArray) -> tuple[IntArray, IntArray]:
@@ -238,10 +267,10 @@ class LandmarkMap:
         away, corners = KDTree(image.pixels).query(pixels_seen, nearest, distance_upper_bound=_RADIUS_PX)
         rows, columns = np.nonzero(np.isfinite(away))
         corners = np.asarray(corners)[rows, columns]
-        differ = np.unpackbits(image.descriptors[corners] ^ self.descriptors[landmarks[rows]], axis=1).sum(axis=1)
-        best = np.lexsort((differ, rows))
+        alike, enough = alike_enough(image.descriptors[corners], self.descriptors[landmarks[rows]])
+        best = np.lexsort((-alike, rows))
         best = best[np.unique(rows[best], return_index=True)[1]]
-        best = best[differ[best] < _MOST_BITS]
+        best = best[enough[best]]
         return corners[best], landmarks[rows[best]]
 
     def _projected(self, points: FloatArray, T_world_cam: FloatArray) -> tuple[FloatArray, BoolArray]:

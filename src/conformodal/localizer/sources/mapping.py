@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from conformodal.core.parallel import in_threads
 from conformodal.core.progress import Progress
-from conformodal.features.local import LocalFeatures, Matcher
+from conformodal.features.local import Descriptors, LocalFeatures, Matcher
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.map_poses import (
     LEAST_PER_FRAME,
@@ -27,6 +27,7 @@ from conformodal.geometry.map_poses import (
 )
 from conformodal.geometry.triangulation import Rays, triangulate
 
+_MOST_LANDMARKS = 300  # of a frame
 _FRAMES_AT_A_TIME = 32  # that are triangulated
 _PARTNERS = 10  # frames in which a frame's corners are sought; pairs serve both
 _MOST_TURNED_RAD, _USUAL_TURN_RAD = float(np.radians(35.0)), float(np.radians(15.0))  # of partners
@@ -42,7 +43,7 @@ class TriangulatedFrames(NamedTuple):
     mounted: Mounted
     starts: IntArray
     points_xyz: Float32Array
-    descriptors: UInt8Array
+    descriptors: Descriptors
     corrections: FloatArray
 
 
@@ -78,7 +79,7 @@ def triangulate_frames(
         current = current.adjusted(poses_se3, tracks)
     parts = in_threads(partial(triangulated, current=current), chunks)
     points = np.concatenate([part.points.xyz for part in parts])
-    reliable = np.concatenate([part.points.reliable for part in parts])
+    reliable = _best_of_frames(np.concatenate([part.points.reliable for part in parts]), before)
     return TriangulatedFrames(
         mounted=current.mounted,
         starts=np.concatenate(([0], np.cumsum(reliable)))[before],
@@ -86,6 +87,13 @@ def triangulate_frames(
         descriptors=np.concatenate([one.descriptors for one in features])[reliable],
         corrections=current.corrections(poses_se3),
     )
+
+
+def _best_of_frames(reliable: BoolArray, starts: IntArray) -> BoolArray:
+    """The first reliable corners of each frame, in the order of the detector; frames beside it have others."""
+    count = np.concatenate(([0], np.cumsum(reliable)))
+    frame = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    return reliable & (count[:-1] - count[starts[frame]] < _MOST_LANDMARKS)
 
 
 def view_overlap(poses_se3: FloatArray, i: int, camera: PinholeCamera, depth_m: float) -> FloatArray:
