@@ -118,7 +118,7 @@ def main() -> None:
     note = (
         "The estimate of each image with the most inliers. Far: off by more than 0.3 m, or "
         "none. ms: CPU time of an image, read, described and localised, beside other work. The first variant is the "
-        "present one, of which each other changes one thing."
+        "present one."
     )
     title, command = "Local features and retrieval", "python benchmarks/landmarks.py"
     write_table("landmarks", title, command, header, rows, note)

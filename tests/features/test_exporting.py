@@ -22,7 +22,7 @@ def test_features_do_not_depend_on_the_other_images_of_a_batch(backbone):
 
 
 def test_an_export_that_answers_otherwise_is_refused(backbone, monkeypatch):
-    def export(network, *_, **__):
+    def export(name, network, *_, **__):
         for name, value in network.layers.named_parameters():
             if name.endswith("bias"):
                 value.zero_()

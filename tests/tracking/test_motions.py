@@ -2,6 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
+from conformodal.features.local import ORB
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import ImageError
@@ -58,7 +59,7 @@ def test_runs_have_the_flow_that_training_has(every):
     pan = Pan(21, px=8, unreadable=(7, *range(11, 20)))
     for i, flow in flows_of_a_run(pan, every).items():
         expected = [-8 * HZ if 0 < i < 20 else 0, 0]  # the last frame that can be read before 20 is 0.33 s ago
-        for one in (flow, frame_features(pan, i).flow):
+        for one in (flow, frame_features(pan, i, ORB).flow):
             assert middle(one) == pytest.approx(expected, abs=4), i
 
 

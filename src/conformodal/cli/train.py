@@ -132,10 +132,10 @@ def train(
 
     default_block(network)  # refuses a model of transformers that is not here, before images are read
     with lock_output(out, "train", apart=[*data, *([] if held_out is None else [held_out])]):
-        cached = FeatureCache(cache_folder(cache))
+        feature_cache = FeatureCache(cache_folder(cache))
         sequence = open_sequences(data, layout, test=held_out, trust_poses=trust_poses, focal=focal)
         with progress_bars(out) as report:
-            train_on(sequence, config, out, features=cached, report=report)
+            train_on(sequence, config, out, features=feature_cache, report=report)
     print_where(out)
 
 

@@ -9,12 +9,13 @@ import numpy as np
 import torch
 from torch import nn
 
+from conformodal.core.arrays import Float32Array
 from conformodal.core.extras import require_extra
 from conformodal.geometry import PinholeCamera
 
 from .backbone import INPUT, OUTPUT, Backbone, BackboneConfig
 from .extract import FeatureCache
-from .local import DETECTORS, XFEAT_SCALE, Detector
+from .local import DETECTORS, XFEAT_SCALE, XFEAT_STEP, Detector, XFeatDetector
 from .networks import Network
 from .settings import VisionError
 from .xfeat import XFeat
@@ -32,8 +33,9 @@ def make_backbone(config: BackboneConfig, cache: FeatureCache) -> Backbone:
     if cached is not None:
         return Backbone(config, cached.tobytes())
     two = torch.zeros((2, config.height, config.width, 3), dtype=torch.uint8)
-    backbone = Backbone(config, _export(network, two, [INPUT], [OUTPUT], batched=True))
-    _check_same(network, backbone)
+    backbone = Backbone(config, _export(config.name, network, two, [INPUT], [OUTPUT], batched=True))
+    images = np.random.default_rng(0).integers(0, 256, two.shape, dtype=np.uint8)
+    _check_same(config.name, network.maps(images), backbone.maps(images))
     cache.store(network.digest, np.frombuffer(backbone.content, dtype=np.uint8), "networks")
     return backbone
 
@@ -43,19 +45,28 @@ def make_detector(name: str, camera: PinholeCamera, cache: FeatureCache) -> Dete
     if name != "xfeat":
         return DETECTORS[name]()
     scale = XFEAT_SCALE if camera.width >= _LEAST_WIDTH else 1.0
-    width, height = (max(32, 32 * round(scale * side / 32)) for side in (camera.width, camera.height))
+    width, height = (max(1, round(scale * side / XFEAT_STEP)) * XFEAT_STEP for side in (camera.width, camera.height))
     network = XFeat(width, height)
     cached = cache.load(network.digest, "networks")
-    if cached is None:
-        image = torch.zeros((height, width), dtype=torch.uint8)
-        content = _export(network, image, ["image"], ["features", "logits", "reliability"])
-        cached = np.frombuffer(content, dtype=np.uint8)
-        cache.store(network.digest, cached, "networks")
-    return DETECTORS[name](cached.tobytes())
+    if cached is not None:
+        return XFeatDetector(cached.tobytes())
+    image = np.random.default_rng(0).integers(0, 256, (height, width), dtype=np.uint8)
+    content = _export(name, network, torch.from_numpy(image), ["image"], ["features", "logits", "reliability"])
+    detector = XFeatDetector(content)
+    for expected, made in zip(network(torch.from_numpy(image)), detector.maps(image), strict=True):
+        _check_same(name, expected.numpy(), made)
+    cache.store(network.digest, np.frombuffer(content, dtype=np.uint8), "networks")
+    return detector
 
 
 def _export(
-    network: nn.Module, example: torch.Tensor, inputs: list[str], outputs: list[str], *, batched: bool = False
+    name: str,
+    network: nn.Module,
+    example: torch.Tensor,
+    inputs: list[str],
+    outputs: list[str],
+    *,
+    batched: bool = False,
 ) -> bytes:
     with require_extra("train", "the export of a network"):
         import onnxscript  # noqa: F401, PLC0415 - torch asks for it
@@ -73,7 +84,7 @@ def _export(
                 verbose=False,
             )
     except Exception as exc:  # whatever torch and onnxscript raise
-        raise VisionError(f"{type(network).__name__} cannot be exported to ONNX: {exc}") from exc
+        raise VisionError(f"{name} cannot be exported to ONNX: {exc}") from exc
     finally:
         logging.disable(logging.NOTSET)
     assert program is not None
@@ -84,9 +95,6 @@ def _export(
     return bytes(model.SerializeToString())
 
 
-def _check_same(network: Network, made: Backbone) -> None:
-    shape = (2, network.config.height, network.config.width, 3)
-    images = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
-    expected, maps = network.maps(images), made.maps(images)
-    if expected.shape != maps.shape or np.abs(maps - expected).max() > _TOLERANCE * np.abs(expected).max():
-        raise VisionError(f"{network.config.name} answers otherwise when exported to ONNX")
+def _check_same(name: str, expected: Float32Array, made: Float32Array) -> None:
+    if expected.shape != made.shape or np.abs(made - expected).max() > _TOLERANCE * np.abs(expected).max():
+        raise VisionError(f"{name} answers otherwise when exported to ONNX")

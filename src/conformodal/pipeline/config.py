@@ -83,6 +83,8 @@ class ModelConfig:
             raise OdometryError(f"sources must be different names, at least one, got {self.sources}")
         for name in self.sources:
             find_source(name)
+        if self.features != "orb" and not any(find_source(name).local for name in self.sources):
+            raise OdometryError(f"features {self.features!r} describe landmarks, and no pose source uses them")
         if self.method is Method.PAPER:
             wrong = {k: getattr(self, k) for k, v in _PAPER.items() if getattr(self, k) != v}
             if wrong or self.training.components is not None:
@@ -122,4 +124,5 @@ _PAPER: dict[str, Any] = {
     "calibrate_on": Calibration.FRAMES,
     "novelty_level": 0.0,
     "sources": ("head",),
+    "features": "orb",  # the head looks at none
 }

@@ -46,11 +46,11 @@ from .model import PATHS, ExpectedInput, PoseModel, SourceComparison, path_rule
 
 FORMAT = "conformodal-model-24"
 _JSON = "model.json"
-_FILES = {
+_FILES = {  # with the first digits of their digests; the detector of local features may have no network: an empty file
     "weights": "weights-{}.safetensors",
     "network": "network-{}.onnx",
     "detector": "detector-{}.onnx",
-}  # with the first digits of their digests
+}
 # what reading damaged files raises: ValueError is every error of this package too, RuntimeError JSON without end
 _DAMAGE = (SafetensorError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError, RuntimeError)
 _PARTS = ("train", "calibration", "test")

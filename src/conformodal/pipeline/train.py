@@ -30,7 +30,7 @@ from .calibrate import (
     compare_sources,
     paper_rules,
 )
-from .config import Method, ModelConfig
+from .config import Method, ModelConfig, OdometryError
 from .identity import identify
 from .model import ExpectedInput, PoseModel
 from .training_data import Folds, TrainingData, make_folds
@@ -58,11 +58,10 @@ def prepare_training_data(
         split = with_random_calibration(split, config.calibration / (config.used or 1 - config.test))
     size = sequence.camera.width, sequence.camera.height
     network = backbone_config(*size, config.network, whole=config.method is Method.PAPER)
-    backbone = make_backbone(network, cache)
+    backbone, detector = make_backbone(network, cache), make_detector(config.features, sequence.camera, cache)
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])
     targets = pose_targets(truth, reference)
     features = extract_features(sequence.image_paths, backbone, cache, stage_of(progress, "features"), sequence.noise)
-    detector = make_detector(config.features, sequence.camera, cache)
     return TrainingData(sequence, split, backbone, features, targets, reference, cache, detector)
 
 
@@ -94,6 +93,8 @@ def train_model(
         data = prepare_training_data(
             whole, config, FeatureCache(default_cache_dir()) if cache is None else cache, progress
         )
+    if data.detector.name != config.features:
+        raise OdometryError(f"features are {config.features!r}, those of the data {data.detector.name!r}")
     folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
     sources = data.for_sources(config, progress)
     parts = [fold.train for fold in folds.folds]

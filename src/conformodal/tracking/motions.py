@@ -5,7 +5,7 @@ from __future__ import annotations
 from conformodal.core.arrays import FloatArray, IntArray, UInt8Array
 from conformodal.core.parallel import raise_if_cancelled
 from conformodal.core.progress import StageProgress
-from conformodal.features.local import ORB, Detector, LocalFeatures, extract_local_features
+from conformodal.features.local import Detector, LocalFeatures, extract_local_features
 from conformodal.geometry import RelativeMotion
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import ImageError, Recording
@@ -55,7 +55,7 @@ def _flow_of(sequence: Recording, i: int, image: UInt8Array) -> FloatArray:
     return NO_FLOW
 
 
-def frame_features(sequence: Recording, i: int, detector: Detector = ORB) -> LocalFeatures:
+def frame_features(sequence: Recording, i: int, detector: Detector) -> LocalFeatures:
     """Local features of a frame of a sequence, with its flow."""
     image = sequence.image(i)
     return extract_local_features(image, sequence.camera, detector)._replace(flow=_flow_of(sequence, i, image))

@@ -67,7 +67,7 @@ _SPREAD = 0.05  # scene depths plus radians by which keyframes of a cluster diff
 _RADIUS = 0.5  # of a cluster, as a share of the scene's depth
 _MAX_DISTANCE_RATIO = 5.0  # descriptor distance of a cluster over that of the first
 MIN_INLIERS = 12  # of a pose
-_AGREEING = 6  # matches of a keyframe that agree with a pose by more than chance
+_AGREEING = 6  # matches of a keyframe, and most of them, that agree with a pose by more than chance
 _MAX_REPROJECTION_PX = 6.0
 _RANSAC = {"max_reproj_error": _MAX_REPROJECTION_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
 _REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 1.0, "max_iterations": 10}  # more take long and hardly move a pose
@@ -159,14 +159,19 @@ class LandmarkMap:
         """
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
         matches, image = {} if matches is None else matches, image.at_pose_time(self.shutter, self.camera)
-        solutions: list[_Solution] = []
+        estimates: list[PoseMeasurement] = []
+        guided: list[FloatArray] = []  # the poses of those that all keyframes near them support
         for near in self._retrieve(image.global_descriptor, shown):
             first = self._matched(image, near[:1], matches)
-            if not any(self._agree(first, image, one.T_world_cam) for one in solutions):
-                solution = self._solve(image, self._matched(image, near, matches), shown)
-                solutions += [] if solution is None else [solution]
-        measured = (self._measured(image, one, shown) for one in solutions)
-        return [one for one in measured if one is not None]
+            if any(self._agree(first, image, T_world_cam) for T_world_cam in guided):
+                continue
+            solution = self._solve(image, self._matched(image, near, matches), shown)
+            estimate = None if solution is None else self._measured(image, solution, shown)
+            if solution is not None and estimate is not None:
+                estimates.append(estimate)
+                if len(solution.corners) >= _GUIDING_INLIERS:
+                    guided.append(solution.T_world_cam)
+        return estimates
 
     def _matched(self, image: LocalFeatures, frames: IntArray, matches: dict[int, IntArray]) -> IntArray:
         """Corners of an image and landmarks of some keyframes (m, 2) that match."""
@@ -179,8 +184,8 @@ class LandmarkMap:
     def _agree(self, pairs: IntArray, image: LocalFeatures, T_world_cam: FloatArray) -> bool:
         """Whether matches of a keyframe show what a pose says already: solving them would give that pose again."""
         pixels, ahead = self._projected(self.points_xyz[pairs[:, 1]].astype(np.float64), T_world_cam)
-        near = np.linalg.norm(pixels - image.pixels[pairs[:, 0]], axis=1) < _MAX_REPROJECTION_PX
-        return int((ahead & near).sum()) >= _AGREEING
+        agree = ahead & (np.linalg.norm(pixels - image.pixels[pairs[:, 0]], axis=1) < _MAX_REPROJECTION_PX)
+        return bool(agree.sum() >= max(_AGREEING, len(pairs) / 2))
 
     def _retrieve(self, descriptor: Float32Array, shown: BoolArray) -> list[IntArray]:
         """Keyframes similar to an image, clustered by position, in order of similarity."""

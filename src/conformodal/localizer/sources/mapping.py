@@ -79,7 +79,7 @@ def triangulate_frames(
         current = current.adjusted(poses_se3, tracks)
     parts = in_threads(partial(triangulated, current=current), chunks)
     points = np.concatenate([part.points.xyz for part in parts])
-    reliable = _best_of_frames(np.concatenate([part.points.reliable for part in parts]), before)
+    reliable = _first_of_frames(np.concatenate([part.points.reliable for part in parts]), before)
     return TriangulatedFrames(
         mounted=current.mounted,
         starts=np.concatenate(([0], np.cumsum(reliable)))[before],
@@ -89,8 +89,8 @@ def triangulate_frames(
     )
 
 
-def _best_of_frames(reliable: BoolArray, starts: IntArray) -> BoolArray:
-    """The first reliable corners of each frame, in the order of the detector; frames beside it have others."""
+def _first_of_frames(reliable: BoolArray, starts: IntArray) -> BoolArray:
+    """The first reliable corners of each frame, in the order of the detector: the strongest."""
     count = np.concatenate(([0], np.cumsum(reliable)))
     frame = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     return reliable & (count[:-1] - count[starts[frame]] < _MOST_LANDMARKS)
