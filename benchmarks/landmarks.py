@@ -27,7 +27,7 @@ from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.local import Detector
 from conformodal.io import Disturbance, Recording, read_recording
 from conformodal.localizer.overlap import near_known
-from conformodal.localizer.sources.landmarks import LandmarkMap
+from conformodal.localizer.sources.landmark_map import LandmarkMap
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.train import prepare_training_data
 from conformodal.pipeline.training_data import measure_depths

@@ -18,7 +18,8 @@ from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import MotionPrior
 from conformodal.localizer.regions import PlaceNovelty, RegionRules
 from conformodal.localizer.sources.head import HeadSource
-from conformodal.localizer.sources.landmarks import LandmarkMap, LandmarkSource
+from conformodal.localizer.sources.landmark_map import LandmarkMap
+from conformodal.localizer.sources.landmarks import LandmarkSource
 from conformodal.localizer.sources.neighbours import LocalRegression, LocalSettings, NeighbourSource
 from conformodal.pipeline.identity import FrameIdentities
 from conformodal.pipeline.model import PATHS, ExpectedInput, PoseModel, SourceComparison, path_rule
@@ -87,7 +88,7 @@ def small_model(detector=ORB):
         split=Split("blocks", 0, _FRAMES, np.arange(12, 16), np.arange(16, 20)),
         known_frames=FrameIdentities(rng.integers(0, 256, (20, 16)).astype(np.uint8), targets),
         expected_input=ExpectedInput(0.1, np.full(21, 1 / 21)),
-        configuration={"method": "conformodal", "data": "numbers", "unit": "m"},
+        configuration={"method": "conformodal", "data": "numbers", "unit": "m", "features": detector.name},
         comparison=SourceComparison(100, 80, 3, 4, 0.5),
         path_rules=paths,
         quality=QualityRange(np.zeros(3), np.array([255.0, 255.0, 255.0])),

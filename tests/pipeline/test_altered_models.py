@@ -171,7 +171,8 @@ def test_a_model_with_xfeat_answers_as_before_it_was_saved(tmp_path):
     record = json.loads((tmp_path / "model.json").read_text())
     record["detector"] = hashlib.sha256(b"").hexdigest()
     (tmp_path / f"detector-{record['detector'][:8]}.onnx").write_bytes(b"")
-    assert fate(tmp_path, {**record, "features": "orb"}, "not described by the local features 'orb'") == ""
+    record["configuration"]["features"] = "orb"
+    assert fate(tmp_path, record, "not described by the local features 'orb'") == ""
 
 
 @pytest.mark.parametrize("what", SPOILT)

@@ -78,9 +78,7 @@ def train(
     ),
     features: Annotated[
         str,
-        _model(
-            help=f"Local features: {', '.join(DETECTORS)}. xfeat recognises views from farther away, and takes longer."
-        ),
+        _model(help=f"Local features: {', '.join(DETECTORS)}."),
     ] = ModelConfig.features,
     network: Annotated[str, _model(help=f"Network of the features: {', '.join(NETWORKS)}.")] = ModelConfig.network,
     n_bins: Annotated[int, _model("--bins", min=1, help="Bins per target (K).")] = ModelConfig.n_bins,

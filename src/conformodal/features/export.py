@@ -15,14 +15,14 @@ from conformodal.geometry import PinholeCamera
 
 from .backbone import INPUT, OUTPUT, Backbone, BackboneConfig
 from .extract import FeatureCache
-from .local import DETECTORS, XFEAT_SCALE, XFEAT_STEP, Detector, XFeatDetector
+from .local import DETECTORS, XFEAT_STEP, Detector, XFeatDetector
 from .networks import Network
 from .settings import VisionError
 from .xfeat import XFeat
 
 # What the oldest ONNX Runtime that is supported, 1.20, reads: IR 10 and opset 21. The exporter would write the newest.
 OPSET, IR_VERSION = 18, 10
-_LEAST_WIDTH = 400  # pixels; smaller images are not reduced for XFeat
+XFEAT_SCALE, _LEAST_WIDTH = 0.7, 400  # to which images are reduced for XFeat; from how many pixels across on
 _TOLERANCE = 1e-3  # of the largest feature: rounding through some sixty layers; a wrong operator errs by far more
 
 

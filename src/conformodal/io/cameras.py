@@ -129,8 +129,8 @@ def _doubts(source: Path | str, camera: PinholeCamera) -> list[str]:
     r = np.linspace(0, hypot(camera.width / camera.fx, camera.height / camera.fy) / 2, 64)
     bends = np.abs([k1 * r**2, k2 * r**4, k3 * r**6, 3 * p1 * r, 3 * p2 * r]).sum(axis=0)
     if not bends[-1] < _MOST_BENT:
-        moved = f"moves the image's corner by {bends[-1]:.3g} of its distance from the middle"
-        raise DatasetError(f"{source}: distortion {camera.distortion} {moved}; of a fisheye, {UNDISTORT}")
+        effect = f"moves the image's corner by {bends[-1]:.3g} of its distance from the middle"
+        raise DatasetError(f"{source}: distortion {camera.distortion} {effect}; of a fisheye, {UNDISTORT}")
     if (1 + 3 * k1 * r**2 + 5 * k2 * r**4 + 7 * k3 * r**6 <= 0).any():
         doubts.append(f"distortion {camera.distortion} folds the image over itself before its corner")
     return doubts

@@ -16,7 +16,7 @@ from conformodal.geometry import Trajectory, matrix_from_quat_wxyz, rigid_motion
 from conformodal.io import Recording
 from conformodal.tracking.motions import frame_features
 
-from .sources.landmarks import LandmarkMap
+from .sources.landmark_map import LandmarkMap
 
 _NEAR_M, _NEAR_DEG = 0.3, 30.0
 _KEYFRAMES, _IMAGES = 150, 40  # of the known recording, that are mapped; of the other, that are localised

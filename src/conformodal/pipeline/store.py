@@ -114,7 +114,7 @@ _RECORD: dict[str, Any] = {  # the content of model.json, without its digest
     "camera": CAMERA_JSON,
     "split": {"kind": SplitKind, "seed": RANGES["seed"]},
     "step_s": _POSITIVE,
-    "configuration": {"method": Method, "data": str, "unit": {"m", "units"}, ...: object},
+    "configuration": {"method": Method, "data": str, "unit": {"m", "units"}, "features": {*DETECTORS}, ...: object},
     "comparison": (
         None,
         {
@@ -128,7 +128,6 @@ _RECORD: dict[str, Any] = {  # the content of model.json, without its digest
     "weights": str,
     "network": str,
     "detector": str,
-    "features": {*DETECTORS},
 }
 
 
@@ -157,7 +156,6 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "camera": asdict(model.camera),
         "split": {"kind": str(model.split.kind), "seed": model.split.seed},
         "step_s": model.expected_input.step_s,
-        "features": model.detector.name,
         "configuration": model.configuration,
         "comparison": None if model.comparison is None else asdict(model.comparison),
         **{name: hashlib.sha256(contents[name]).hexdigest() for name in _FILES},
@@ -273,7 +271,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path)
     with _naming("backbone"):
         backbone = Backbone(config, _read(folder, "network", record))
     with _naming("detector"):
-        detector: Detector = DETECTORS[record["features"]](_read(folder, "detector", record))
+        detector: Detector = DETECTORS[record["configuration"]["features"]](_read(folder, "detector", record))
     sizes = {"n_features": backbone.n_features, "n_coarse": backbone.n_coarse, "n_rows": rows, "n_columns": columns}
     check_arrays({k: v for k, v in arrays.items() if not k.startswith("source.")}, _ARRAYS, sizes)
     bins = QuantileBins.from_edges([arrays[f"bins.{j}"] for j in range(len(TARGET_NAMES))])

@@ -6,7 +6,7 @@ from conformodal.core import parallel
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.geometry.map_poses import ROUNDS
 from conformodal.localizer.sources import mapping
-from conformodal.localizer.sources.landmarks import MIN_INLIERS, LandmarkMap
+from conformodal.localizer.sources.landmark_map import MIN_INLIERS, LandmarkMap
 from tests.localizer.sources.conftest import CAMERA, DEPTH, make_world, poses_along
 
 
@@ -124,7 +124,7 @@ def test_a_place_is_solved_once_though_keyframes_far_apart_show_it(monkeypatch, 
     world.poses_se3 = poses_along(60, sideways=6.0)
     landmarks = LandmarkMap.build(world.local_features()[::4], world.poses_se3[::4], stated_camera, depth_m)
     image = world.see(world.poses_se3[30], seed=3)
-    monkeypatch.setattr("conformodal.localizer.sources.landmarks._MAX_DISTANCE_RATIO", 100)
+    monkeypatch.setattr("conformodal.localizer.sources.landmark_map._MAX_DISTANCE_RATIO", 100)
     (once,) = landmarks.localize(image)
     monkeypatch.setattr(LandmarkMap, "_agree", lambda *_: False)
     every = landmarks.localize(image)

@@ -38,7 +38,7 @@ _MATCHES_PER_PAIR = 40  # that the camera is fitted with
 
 
 class TriangulatedFrames(NamedTuple):
-    """The camera of n frames and their landmarks, as :class:`.landmarks.LandmarkMap` keeps them."""
+    """The camera of n frames and their landmarks, as :class:`.landmark_map.LandmarkMap` keeps them."""
 
     mounted: Mounted
     starts: IntArray

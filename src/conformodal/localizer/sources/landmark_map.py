@@ -1,0 +1,296 @@
+"""A map of landmarks: retrieval by global descriptors, PnP on matched local features."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+import poselib
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from conformodal.core.progress import Progress
+from conformodal.features.local import Descriptors, LocalFeatures, Matcher, alike_enough, match
+from conformodal.geometry import PinholeCamera, cross_matrices, rigid_motions
+from conformodal.geometry.adjustment import MEDIAN_OF_NORM2
+from conformodal.geometry.triangulation import nearest_kilometres
+from conformodal.localizer.evidence import (
+    PoseMeasurement,
+)
+
+# Retrieval: keyframes matched in the most similar cluster and in each of the others, clusters at most, and keyframes
+# that are clustered
+_FIRST, _OTHERS, _CLUSTERS, _RETRIEVED = 6, 3, 8, 200
+_SPREAD = 0.05  # scene depths plus radians by which keyframes of a cluster differ; 0.1 makes poses worse on fr1
+_RADIUS = 0.5  # of a cluster, as a share of the scene's depth
+_MAX_DISTANCE_RATIO = 5.0  # descriptor distance of a cluster over that of the first
+MIN_INLIERS = 12  # of a pose
+_AGREEING = 6  # matches of a keyframe, and most of them, that agree with a pose by more than chance
+_MAX_REPROJECTION_PX = 6.0
+_RANSAC = {"max_reproj_error": _MAX_REPROJECTION_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
+_REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 1.0, "max_iterations": 10}  # more take long and hardly move a pose
+_LEAST_RESIDUAL_PX = 0.5  # no corner is located more precisely
+# Keyframes whose deviations correct an estimate, weighted by one over their distance, to which this is added (scene
+# depths plus radians)
+_CORRECTED_BY, _LEAST_DISTANCE = 6, 0.01
+# Guided matching looks for landmarks of keyframes near a pose where the pose says that they are: inliers of a pose that
+# guides (wrong ones have fewer), keyframes, and the number nearest to the pose that these are chosen from
+_GUIDING_INLIERS, _GUIDING_KEYFRAMES, _CONSIDERED = 30, 6, 100
+_RADIUS_PX, _CORNERS = 8.0, 4  # corners nearest to a landmark that are compared with it
+
+
+class _Solution(NamedTuple):
+    """A pose and the matches that agree with it: corners and landmarks (m,)."""
+
+    T_world_cam: FloatArray
+    corners: IntArray
+    landmarks: IntArray
+    inlier_share: float  # of the corners that matched at first
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkMap:
+    """Keyframes, which are frames with known poses, and landmarks, which are their triangulated corners.
+
+    Landmarks belong to adjusted poses of the keyframes. Rolling shutters, clocks and reference poses make neighbours
+    deviate alike from the given ones. The weighted mean of the neighbours' `corrections` is therefore subtracted from
+    an estimate, which brings it to the given frame; their scatter is part of its standard deviation.
+
+    Poses and points are relative to an origin, so that single precision and squares lose nothing far from the world's.
+    """
+
+    camera: PinholeCamera  # without distortion
+    T_pose_cam: FloatArray  # (4, 4) from the camera's frame to the one whose poses are given
+    shutter: FloatArray  # (2,), see PinholeCamera.at_pose_time
+    origin_xyz: FloatArray  # (3,) metres, world; whole kilometres: near the world's origin it is the same
+    poses_se3: FloatArray  # (n, 4, 4) of the keyframes, as given but for the origin
+    global_descriptors: npt.NDArray[np.float16]  # (n, G)
+    starts: IntArray  # (n + 1,) landmarks of keyframe i are starts[i] to starts[i + 1]
+    points_xyz: Float32Array  # (N, 3) metres
+    descriptors: Descriptors  # (N, B)
+    corrections: FloatArray  # (n, 6) adjusted minus given pose of each keyframe: metres and a rotation vector, world
+    depth_m: float  # median depth of the scene
+
+    @classmethod
+    def build(
+        cls,
+        features: Sequence[LocalFeatures],
+        poses_se3: FloatArray,
+        camera: PinholeCamera,
+        depth_m: float,
+        progress: Progress | None = None,
+        matcher: Matcher | None = None,
+    ) -> Self:
+        """Map n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps."""
+        from .mapping import triangulate_frames  # noqa: PLC0415 - only learning needs it
+
+        origin_xyz = nearest_kilometres(poses_se3[:, :3, 3])
+        poses_se3 = poses_se3.copy()
+        poses_se3[:, :3, 3] -= origin_xyz
+        mapped = triangulate_frames(features, poses_se3, camera, depth_m, progress, matcher or Matcher())
+        global_descriptors = np.array([one.global_descriptor for one in features], dtype=np.float16)
+        return cls(
+            *mapped.mounted,
+            origin_xyz,
+            poses_se3,
+            global_descriptors,
+            mapped.starts,
+            mapped.points_xyz,
+            mapped.descriptors,
+            mapped.corrections,
+            depth_m,
+        )
+
+    @cached_property
+    def _descriptors(self) -> Float32Array:
+        return self.global_descriptors.astype(np.float32)  # products of halves are slow
+
+    def localize(
+        self, image: LocalFeatures, hidden: BoolArray | None = None, matches: dict[int, IntArray] | None = None
+    ) -> list[PoseMeasurement]:
+        """Absolute pose estimates of an image: one PnP hypothesis for each of the similar retrieval clusters.
+
+        Standard deviations come from the reprojection residuals and the scatter of the corrections, up to a factor that
+        :class:`~conformodal.localizer.evidence.ErrorModel` learns. Keyframes in `hidden` (n,) are left out.
+        `matches` caches those of the image by keyframe.
+        """
+        shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
+        matches, image = {} if matches is None else matches, image.at_pose_time(self.shutter, self.camera)
+        estimates: list[PoseMeasurement] = []
+        guided: list[FloatArray] = []  # the poses of those that all keyframes near them support
+        for near in self._retrieve(image.global_descriptor, shown):
+            first = self._matched(image, near[:1], matches)
+            if any(self._agree(first, image, T_world_cam) for T_world_cam in guided):
+                continue
+            solution = self._solve(image, self._matched(image, near, matches), shown)
+            estimate = None if solution is None else self._measured(image, solution, shown)
+            if solution is not None and estimate is not None:
+                estimates.append(estimate)
+                if len(solution.corners) >= _GUIDING_INLIERS:
+                    guided.append(solution.T_world_cam)
+        return estimates
+
+    def _matched(self, image: LocalFeatures, frames: IntArray, matches: dict[int, IntArray]) -> IntArray:
+        """Corners of an image and landmarks of some keyframes (m, 2) that match."""
+        for frame in frames.tolist():
+            if frame not in matches:
+                pairs = match(image.descriptors, self.descriptors[self.starts[frame] : self.starts[frame + 1]])
+                matches[frame] = np.add(pairs, (0, self.starts[frame]))
+        return np.concatenate([matches[frame] for frame in frames.tolist()])
+
+    def _agree(self, pairs: IntArray, image: LocalFeatures, T_world_cam: FloatArray) -> bool:
+        """Whether most matches of a keyframe agree with a pose."""
+        pixels, ahead = self._projected(self.points_xyz[pairs[:, 1]].astype(np.float64), T_world_cam)
+        agree = ahead & (np.linalg.norm(pixels - image.pixels[pairs[:, 0]], axis=1) < _MAX_REPROJECTION_PX)
+        return bool(agree.sum() >= max(_AGREEING, len(pairs) / 2))
+
+    def _retrieve(self, descriptor: Float32Array, shown: BoolArray) -> list[IntArray]:
+        """Keyframes similar to an image, clustered by position, in order of similarity."""
+        alike = (self._descriptors @ descriptor).astype(np.float64)
+        alike[~shown | (np.diff(self.starts) < MIN_INLIERS)] = -np.inf
+        order = np.argsort(-alike, kind="stable")[:_RETRIEVED]
+        order = order[np.isfinite(alike[order])]
+        clusters: list[IntArray] = []
+        while order.size and len(clusters) < _CLUSTERS:
+            if clusters and 1 - alike[order[0]] > _MAX_DISTANCE_RATIO * (1 - alike[clusters[0][0]]):
+                break
+            apart = np.linalg.norm(self.poses_se3[order, :3, 3] - self.poses_se3[order[0], :3, 3], axis=1)
+            here = apart < _RADIUS * self.depth_m
+            clusters.append(self._spread(order[here], _OTHERS if clusters else _FIRST))
+            order = order[~here]
+        return clusters
+
+    def _spread(self, order: IntArray, most: int) -> IntArray:
+        """The first keyframes in an order that differ from each other: nearly the same view says the same again."""
+        chosen: list[int] = []
+        for i in order.tolist():
+            if len(chosen) < most and (not chosen or self._apart(self.poses_se3[i], chosen).min() > _SPREAD):
+                chosen.append(i)
+        return np.array(chosen)
+
+    def _apart(self, T_world_pose: FloatArray, frames: list[int] | slice = slice(None)) -> FloatArray:
+        """Distances of keyframes from a pose, in scene depths plus radians."""
+        poses = self.poses_se3[frames]
+        apart = np.linalg.norm(poses[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
+        return np.asarray(apart + np.arccos(np.clip(poses[:, :3, 2] @ T_world_pose[:3, 2], -1, 1)))
+
+    def _solve(self, image: LocalFeatures, pairs: IntArray, shown: BoolArray) -> _Solution | None:
+        """The pose of an image from matches (m, 2) of corners and landmarks, some of them right."""
+        corners, landmarks = pairs.T
+        points, pixels = self.points_xyz[landmarks].astype(np.float64), image.pixels[corners]
+        if len(pixels) < MIN_INLIERS:
+            return None
+        pose, info = poselib.estimate_absolute_pose(pixels, points, self.camera.poselib(), _RANSAC, _REFINEMENT)
+        inliers = np.asarray(info["inliers"], dtype=np.bool_)
+        if inliers.sum() < MIN_INLIERS:
+            return None
+        # a corner matched with several keyframes is one observation, so it counts once
+        share = len(np.unique(corners[inliers])) / len(np.unique(corners))
+        T_world_cam = _camera_to_world(pose)
+        if inliers.sum() >= _GUIDING_INLIERS:
+            corners, landmarks = self._guided(image, T_world_cam, shown)
+            points, pixels = self.points_xyz[landmarks].astype(np.float64), image.pixels[corners]
+            if len(pixels) < MIN_INLIERS:
+                return None
+            pose, _ = poselib.refine_absolute_pose(pixels, points, pose, self.camera.poselib(), _REFINEMENT)
+            T_world_cam = _camera_to_world(pose)
+            pixels_seen, ahead = self._projected(points, T_world_cam)
+            inliers = ahead & (np.linalg.norm(pixels_seen - pixels, axis=1) < _MAX_REPROJECTION_PX)
+            if inliers.sum() < MIN_INLIERS:
+                return None
+        return _Solution(T_world_cam, corners[inliers], landmarks[inliers], share)
+
+    def _measured(self, image: LocalFeatures, solution: _Solution, shown: BoolArray) -> PoseMeasurement | None:
+        """The estimate of a solution, in the given frame; None where its inliers do not determine it."""
+        T_world_cam, pixels = solution.T_world_cam, image.pixels[solution.corners]
+        points = self.points_xyz[solution.landmarks].astype(np.float64)
+        sigmas = self._spreads(pixels, points, T_world_cam[:3, :3], T_world_cam[:3, 3])
+        if sigmas is None:
+            return None
+        T_world_pose = T_world_cam @ np.linalg.inv(self.T_pose_cam)
+        off, scatter, apart = self._correction(T_world_pose, shown)
+        sigma_m, sigma_rad = np.hypot(sigmas, scatter).tolist()
+        turn = Rotation.from_rotvec(-off[3:]) * Rotation.from_matrix(T_world_pose[:3, :3])
+        position, quat = self.origin_xyz + T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True)
+        agreeing = np.unique(solution.corners)
+        image_share = self._share_of_image(image.pixels[agreeing])
+        share = solution.inlier_share
+        return PoseMeasurement(position, quat, sigma_m, sigma_rad, len(agreeing), 1.0, share, image_share, apart)
+
+    def _guided(self, image: LocalFeatures, T_world_cam: FloatArray, shown: BoolArray) -> tuple[IntArray, IntArray]:
+        """Corners and landmarks (m,) that match where the keyframes nearest to a pose say that they are."""
+        order = np.argsort(np.where(shown, self._apart(T_world_cam @ np.linalg.inv(self.T_pose_cam)), np.inf))
+        near = self._spread(order[: min(_CONSIDERED, int(shown.sum()))], _GUIDING_KEYFRAMES)
+        landmarks = np.concatenate([np.arange(self.starts[i], self.starts[i + 1]) for i in near.tolist()])
+        pixels_seen, ahead = self._projected(self.points_xyz[landmarks].astype(np.float64), T_world_cam)
+        landmarks, pixels_seen = landmarks[ahead], pixels_seen[ahead]
+        count = min(_CORNERS, len(image.pixels))
+        nearest = np.arange(1, count + 1)
+        away, corners = KDTree(image.pixels).query(pixels_seen, nearest, distance_upper_bound=_RADIUS_PX)
+        rows, columns = np.nonzero(np.isfinite(away))
+        corners = np.asarray(corners)[rows, columns]
+        alike, enough = alike_enough(image.descriptors[corners], self.descriptors[landmarks[rows]])
+        best = np.lexsort((-alike, rows))
+        best = best[np.unique(rows[best], return_index=True)[1]]
+        best = best[enough[best]]
+        return corners[best], landmarks[rows[best]]
+
+    def _projected(self, points: FloatArray, T_world_cam: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Pixels (n, 2) of points, and whether these lie ahead of the camera."""
+        local = (points - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
+        ahead = local[:, 2] > 1e-3
+        plane = local[:, :2] / np.where(ahead, local[:, 2], 1.0)[:, None]
+        camera = self.camera
+        return plane * (camera.fx, camera.fy) + (camera.cx, camera.cy), ahead
+
+    def _share_of_image(self, pixels: FloatArray) -> float:
+        """Share of the image over which pixels (m, 2) are spread: 1 if evenly over all of it."""
+        if len(pixels) < 3:
+            return 0.0
+        area = 12 * np.sqrt(max(float(np.linalg.det(np.cov(pixels.T))), 0.0))
+        return float(area / (self.camera.width * self.camera.height))
+
+    def _correction(self, T_world_pose: FloatArray, shown: BoolArray) -> tuple[FloatArray, FloatArray, float]:
+        """Deviations of nearby keyframes: mean (6,), scatter per axis (2,) in m and rad, and the least distance."""
+        apart = self._apart(T_world_pose)
+        away = float(apart[shown].min())
+        corrected = np.flatnonzero(shown & np.isfinite(self.corrections).all(axis=1))
+        if corrected.size == 0:
+            return np.zeros(6), np.zeros(2), away
+        nearest = corrected[np.argsort(apart[corrected], kind="stable")[:_CORRECTED_BY]]
+        corrections, weights = self.corrections[nearest], 1 / (apart[nearest] + _LEAST_DISTANCE)
+        mean = np.average(corrections, axis=0, weights=weights)
+        variance = np.average((corrections - mean) ** 2, axis=0, weights=weights)
+        return mean, np.sqrt([variance[:3].mean(), variance[3:].mean()]), away
+
+    def _spreads(
+        self, pixels: FloatArray, points: FloatArray, R_world_cam: FloatArray, centre: FloatArray
+    ) -> tuple[float, float] | None:
+        """Standard deviations per axis of position (metres) and rotation (radians), propagated from the residuals."""
+        local = (points - centre) @ R_world_cam
+        depth = local[:, 2]
+        if not (depth > 1e-6).all():
+            return None
+        plane = local[:, :2] / depth[:, None]
+        off = np.linalg.norm(plane - self.camera.on_plane(pixels), axis=1)
+        least = 2 * _LEAST_RESIDUAL_PX / (self.camera.fx + self.camera.fy)
+        residual = max(float(np.median(off)) / MEDIAN_OF_NORM2, least)
+        by_point = np.zeros((len(points), 2, 3))
+        by_point[:, 0, 0] = by_point[:, 1, 1] = 1 / depth
+        by_point[:, :, 2] = -plane / depth[:, None]
+        slopes = np.concatenate((-by_point, by_point @ cross_matrices(local)), axis=2).reshape(-1, 6)
+        information = slopes.T @ slopes / residual**2
+        if np.linalg.cond(information) > 1e12:
+            return None
+        variance = np.diag(np.linalg.inv(information))
+        return float(np.sqrt(variance[:3].mean())), float(np.sqrt(variance[3:].mean()))
+
+
+def _camera_to_world(pose: poselib.CameraPose) -> FloatArray:
+    R_world_cam = np.asarray(pose.R).T
+    return rigid_motions(R_world_cam, -R_world_cam @ np.asarray(pose.t))
