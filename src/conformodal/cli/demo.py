@@ -93,7 +93,7 @@ def demo(
         summary = [
             f"A drone flew along a dark hallway of {counted(N_MODULES, 'identical module')}, into every room. "
             f"{counted(len(model.split.train), 'frame')} trained a network, {len(model.split.calibration)} calibrated "
-            f"its regions, {len(truth)} were held out ({metrics['split_note']})",
+            f"its regions, {len(truth)} were held out: {metrics['split_note']}",
             alike,
             *describe_outcome("demo", metrics),
         ]
