@@ -239,9 +239,8 @@ def draw(runs: dict[str, Any]) -> None:
                 axis.axvline(start - 0.5, color="black", lw=0.8)
         above.text(at.mean(), 1.25, label, ha="center", va="bottom")
         start = at[-1] + 1
-    for level, style in ((LEVEL_STRETCHES, "--"), (LEVEL_STRETCHES / 2, ":")):
-        above.axhline(level, color=red, lw=0.8, ls=style)
-    legend = "at or below the line (dotted: where a place is recognised)\nthe region is unbounded"
+    above.axhline(LEVEL_STRETCHES, color=red, lw=0.8, ls="--")
+    legend = "at or below the line, unless a place is recognised,\nthe region is unbounded"
     above.text(2, 0.019, legend, color=red, va="bottom", fontsize=8)
     above.set(yscale="log", ylim=(0.017, 1.2), ylabel="p-value: known?")
     below.set(yscale="log", ylabel="error (m)", xlabel="answered frame", xlim=(0, start))

@@ -69,8 +69,7 @@ def small_model(detector=ORB):
     rules = RegionRules(overall, np.arange(60) % 2 == 0, rng.random(60), 0.1, disturbed, rng.random(30))
     coarse = FrameEvidence(features[_FRAMES]).coarse(network.config.grid).astype(np.float16)
     test = NoveltyTest(coarse, _FRAMES // 2)
-    tests = test.rescored(rng.normal(size=60), labels), test.rescored(rng.normal(size=30), labels[:30])
-    novelty = PlaceNovelty(test, network.config.grid, *tests)
+    novelty = PlaceNovelty(test, network.config.grid, test.rescored(rng.normal(size=60), labels))
     paths = {
         path: path_rule(localizer.cells, 0.2).calibrate_scores(
             np.repeat(rng.random((60, 1)), 7, axis=1), labels, np.full(60, 3)

@@ -74,7 +74,7 @@ def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
     p, strict = model.novelty.p_values(FrameEvidence(features)), replace(model)
     strict.set_novelty_level(0.2)
     np.testing.assert_array_equal(kinds_of(strict, p) == EvidenceType.UNKNOWN, p <= 0.2)
-    known = model.rules.known_p > np.where(model.rules.recognised, 0.1, 0.2)
+    known = model.rules.known_p > np.where(model.rules.recognised, 0.0, 0.2)
     assert (
         sum(rule.n_units for kind, rule in strict.rules.by_type.items() if kind != EvidenceType.DISTURBED)
         == known.sum()

@@ -55,7 +55,6 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
         "calibrated_on": model.configuration.get("calibrate_on"),
         "n_calibration": model.n_calibration,
         "novelty_level": rules.level,
-        "recognised_level": model.recognised_level,
         "bounded_regions": {one.evidence.name.lower(): one.finite for one in by_type},
         "guarantee": describe_guarantee(model),
         "guarantees": [one.describe() for one in by_type],
@@ -74,8 +73,8 @@ def describe_facts(facts: dict[str, Any]) -> list[str]:
         f"method {facts['method']}; sources: {', '.join(facts['sources'])}",
         facts["guarantee"],
         *facts["guarantees"],
-        f"images whose p-value of showing a known place is at most {facts['novelty_level']:g} "
-        f"({facts['recognised_level']:g} where a place is recognised) get an unbounded region",
+        f"images without a recognised place get an unbounded region if their p-value of showing a known one is at most "
+        f"{facts['novelty_level']:g}",
         f"size: {sum(facts['bytes'].values()) / 1e6:.1f} MB; network {facts['network']}: "
         f"{facts['network_ms']:.1f} ms per image here",
     ]

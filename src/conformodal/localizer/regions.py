@@ -35,7 +35,6 @@ from .observations import Place, summarise
 # were: the probability that an image of a known place is flagged. Chosen with benchmarks/novelty.py. With K stretches
 # no p-value is below 1 / (K + 1), so a lower level would flag nothing.
 _LEVEL_FRAMES, LEVEL_STRETCHES = 0.015, 0.1
-SHARE_RECOGNISED = 0.5  # of the level, for images in which a place was recognised
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,6 +228,14 @@ class EvidenceType(IntEnum):
     LANDMARKS = 2  # they recognised a place
     UNKNOWN = 3  # the image is novel, or from beyond the range of known poses: the region is unbounded
     DISTURBED = 4  # the model uses local features; the image is blurred, dark, bright or noisy as no training image is
+    WEAK = 5  # they recognised a place, more weakly than in calibration frames
+
+
+# types whose thresholds are no smaller than the finite ones of others
+_AT_LEAST = {
+    EvidenceType.DISTURBED: {EvidenceType.UNMATCHED, EvidenceType.LANDMARKS},
+    EvidenceType.WEAK: {EvidenceType.DISTURBED},
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,8 +250,11 @@ class RegionRules:
     :class:`~conformodal.io.Disturbance`, so its guarantee is about images disturbed likewise.
     Its thresholds are no smaller than the finite ones of ``UNMATCHED`` and ``LANDMARKS``.
 
-    Frames with a p-value of at most `level` are :attr:`EvidenceType.UNKNOWN`; those in which a place was recognised, of
-    at most half of it, see :meth:`is_known`.
+    Frames with a p-value of at most `level` are :attr:`EvidenceType.UNKNOWN`, unless a place was recognised: then the
+    p-value says how well, and those of at most `level`, in another recording or further away than calibration frames,
+    are ``WEAK``. ``LANDMARKS`` is calibrated on all frames in which a place was recognised, so its guarantee includes
+    them; as recognition may be as hard as in disturbed images, their thresholds are no smaller than the finite ones of
+    ``DISTURBED``.
     """
 
     overall: SplitConformal  # calibrated on all frames
@@ -252,19 +262,13 @@ class RegionRules:
     known_p: FloatArray  # (n,) p-values of the frames, see PlaceNovelty
     level: float  # significance level of the novelty test
     disturbed: SplitConformal | None = None  # on m disturbed frames
-    disturbed_p: FloatArray | None = None  # (m,) their p-values
-
-    def is_known(self, p: FloatArray, recognised: BoolArray | bool = False) -> BoolArray:
-        """(m,) whether images show a known place, from their p-values and whether a place was recognised in them.
-
-        Recognition counts by itself: a known view from further away than any calibration frame is recognised, weakly.
-        """
-        return np.asarray(p > np.where(recognised, SHARE_RECOGNISED * self.level, self.level))
+    disturbed_p: FloatArray | None = None  # (m,) their p-values; 1 where a place was recognised
 
     @property
     def known(self) -> BoolArray:
-        """(n,) whether each frame shows a known place."""
-        return self.is_known(self.known_p, False if self.recognised is None else self.recognised)
+        """(n,) whether each frame shows a known place; none whose p-value is 0, from beyond the range of poses."""
+        recognised = False if self.recognised is None else self.recognised
+        return np.asarray(self.known_p > np.where(recognised, 0.0, self.level))
 
     @cached_property
     def by_type(self) -> dict[EvidenceType, SplitConformal]:
@@ -285,12 +289,13 @@ class RegionRules:
         `recognised` says whether a place was recognised by local features, `disturbed` whether the image's quality is
         out of range.
         """
-        kinds = np.full(len(known_p), EvidenceType.GLOBAL)
-        if self.recognised is not None:
-            kinds = np.where(recognised, EvidenceType.LANDMARKS, EvidenceType.UNMATCHED)
-        kinds = np.where(disturbed & (self.disturbed is not None), EvidenceType.DISTURBED, kinds)
-        tested_unknown = np.isfinite(known_p) & ~self.is_known(known_p, kinds == EvidenceType.LANDMARKS)
-        return np.where(tested_unknown, EvidenceType.UNKNOWN, kinds).astype(np.int64)
+        novel = known_p <= self.level
+        if self.recognised is None:
+            return np.where(novel, EvidenceType.UNKNOWN, EvidenceType.GLOBAL).astype(np.int64)
+        matched = np.where(novel, EvidenceType.WEAK, EvidenceType.LANDMARKS)
+        kinds = np.where(recognised, matched, np.where(novel, EvidenceType.UNKNOWN, EvidenceType.UNMATCHED))
+        harder = disturbed & (self.disturbed is not None) & (kinds != EvidenceType.UNKNOWN)
+        return np.where(harder, EvidenceType.DISTURBED, kinds).astype(np.int64)
 
     def thresholds(self, kinds: IntArray) -> RealArray:
         """(m, 7) thresholds of images with these evidence types.
@@ -299,12 +304,13 @@ class RegionRules:
         as well leave the range of qualities by chance.
         """
         limits = np.full((len(kinds), self.overall.bins.n_targets), np.inf)
+        calibrated = np.where(kinds == EvidenceType.WEAK, EvidenceType.LANDMARKS, kinds)
         for kind, rule in self.by_type.items():
-            limits[kinds == kind] = rule.thresholds_
-        disturbed = kinds == EvidenceType.DISTURBED
-        for kind in self.by_type.keys() & {EvidenceType.UNMATCHED, EvidenceType.LANDMARKS}:
-            finite = np.where(np.isfinite(self.by_type[kind].thresholds_), self.by_type[kind].thresholds_, -np.inf)
-            limits[disturbed] = np.maximum(limits[disturbed], finite)
+            limits[calibrated == kind] = rule.thresholds_
+        for kind, others in _AT_LEAST.items():
+            for other in self.by_type.keys() & others:
+                least = self.by_type[other].thresholds_
+                limits[kinds == kind] = np.maximum(limits[kinds == kind], np.where(np.isfinite(least), least, -np.inf))
         return limits
 
     def at(self, alpha: Alpha) -> RegionRules:
@@ -340,8 +346,6 @@ class PlaceNovelty:
     # with local features: images in which a place was recognised rank below all others, the more strongly the lower, so
     # that no change of light makes them novel. Calibrated on held-out frames; None without local features
     matched: NoveltyTest | None = None
-    # of disturbed images in which a place was recognised, which is harder in them; None if they are not calibrated
-    disturbed: NoveltyTest | None = None
 
     @classmethod
     def fit(cls, features: Float32Array, pieces: IntArray, grid: tuple[int, int]) -> Self | None:
@@ -355,33 +359,20 @@ class PlaceNovelty:
         """Novelty scores of images whose local features were matched: below 0 where a place was recognised."""
         return np.where(recognition > 0, -recognition, distances)
 
-    def disturbed_p(self, test: NoveltyTest) -> FloatArray:
-        """(m,) p-values of the disturbed frames that calibrate `test`, as those of new images will be."""
-        assert self.matched is not None
-        return np.asarray(np.where(test.scores_ < 0, test.left_out_p_values(), self.matched.p_values(test.scores_)))
-
     def distances(self, evidence: FrameEvidence, left_out: IntArray | None = None) -> FloatArray:
         """(n,) distances of images to the most similar known frame, not counting those of labels `left_out` (n,)."""
         # rounded like the references, so that an image equals itself
         return self.test.scores(evidence.coarse(self.grid).astype(np.float16), left_out)
 
-    def p_values(
-        self, evidence: FrameEvidence, recognition: FloatArray | None = None, disturbed: BoolArray | bool = False
-    ) -> FloatArray:
-        """(n,) p-values of images; a small one indicates an unknown place.
+    def p_values(self, evidence: FrameEvidence, recognition: FloatArray | None = None) -> FloatArray:
+        """(n,) p-values of images; a small one indicates an unknown place, or one that is hard to recognise.
 
         `recognition` (n,) is :attr:`~conformodal.localizer.localizer.Beliefs.recognition`, None for appearance alone.
-        `disturbed` (n,) says whether an image's quality is out of range.
         """
         distances = self.distances(evidence)
         if self.matched is None or recognition is None:
             return self.test.p_values(distances)
-        scores = self.ranked(distances, recognition)
-        p = self.matched.p_values(scores)
-        if self.disturbed is not None:
-            rows = disturbed & (recognition > 0)  # others are as novel as their appearance
-            p[rows] = self.disturbed.p_values(scores[rows])
-        return p
+        return self.matched.p_values(self.ranked(distances, recognition))
 
     def level(self, asked: float | None) -> float:
         """The significance level: the given one, or the default of :class:`~conformodal.pipeline.config.ModelConfig`.

@@ -124,8 +124,7 @@ class _Disturbed(Rows):
     """Disturbed copies of held-out frames that are beyond the range of qualities."""
 
     scores: RealArray
-    ranked: FloatArray  # by the novelty test
-    out_of_range: BoolArray
+    known_p: FloatArray
     units: IntArray
 
 
@@ -140,11 +139,11 @@ def calibrate_disturbed(
 ) -> CalibratedRegions:
     """Calibrate the evidence type of disturbed images, on copies of held-out frames that are disturbed at random.
 
-    Those count whose quality is beyond that of all frames that the sources learn from. Without local features, or with
-    too few copies, nothing changes.
+    Those count whose quality is beyond that of all frames that the sources learn from. Without local features, or
+    without such copies, nothing changes.
     """
     rules, novelty = calibrated.rules, calibrated.novelty
-    if rules.recognised is None or novelty is None:
+    if rules.recognised is None or novelty is None or novelty.matched is None:
         return calibrated
     quality = QualityRange.of(np.array([features.quality for features in data.local_features(folds.region_frames)]))
     sequence = replace(data.sequence, noise=Disturbance(_DISTURBED_SEED, data.sequence.noise))
@@ -162,28 +161,19 @@ def calibrate_disturbed(
         evidence = FrameEvidence(features, copies)
         beliefs = localizer.beliefs(evidence)
         distances = novelty.distances(evidence, None if folds.units is None else folds.pieces[frames])
+        known_p = np.where(beliefs.recognised, 1.0, novelty.matched.p_values(distances))
         parts.append(
             _Disturbed(
                 score_beliefs(_on_cells(rules.overall, localizer), localizer, beliefs, data.targets[frames]),
-                novelty.ranked(distances, beliefs.recognition),
-                _out_of_range(localizer, beliefs),
+                np.where(_out_of_range(localizer, beliefs), 0.0, known_p),
                 frames if folds.units is None else folds.units[frames],
             )
         )
     if not parts:
         return calibrated
     every = _Disturbed.concatenate(parts)
-    test = novelty.test.rescored(every.ranked, np.arange(len(every.scores)) if folds.units is None else every.units)
-    if 0 < rules.level < test.least_p:  # so few that none could be flagged as unknown
-        return calibrated
     rule = copy(rules.overall).calibrate_scores(every.scores, None if folds.units is None else every.units)
-    disturbed_p = np.where(every.out_of_range, 0.0, novelty.disturbed_p(test))
-    return replace(
-        calibrated,
-        rules=replace(rules, disturbed=rule, disturbed_p=disturbed_p),
-        novelty=replace(novelty, disturbed=test),
-        quality=quality,
-    )
+    return replace(calibrated, rules=replace(rules, disturbed=rule, disturbed_p=every.known_p), quality=quality)
 
 
 def _on_cells(rule: SplitConformal, localizer: Localizer) -> SplitConformal:
@@ -223,8 +213,7 @@ def calibrate_paths(
     """
     if folds.units is None:
         return {}
-    rules, units = calibrated.rules, folds.units
-    known = rules.known if rules.recognised is None else rules.known | rules.recognised
+    rules, units, known = calibrated.rules, folds.units, calibrated.rules.known
     scored: dict[str, list[_Scored]] = {path: [] for path in PATHS}
     start, rng = 0, np.random.default_rng(0)
     n_streams = sum(len(np.unique(units[fold.held_out])) for fold in folds.folds)

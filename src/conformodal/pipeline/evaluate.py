@@ -83,7 +83,9 @@ def coverage_table(statistics: RegionStatistics, model: PoseModel, *, exchangeab
     `exchangeable` are frames with the calibration frames, as the test part of an ``interleaved`` split.
     """
     held, finite, rules, calibration = statistics.held, statistics.bounded, model.rules, model.calibration
-    chosen = {kind: statistics.kinds == kind for kind in (*rules.by_type, EvidenceType.UNKNOWN)}
+    # weakly recognised places: the guarantee of others holds, as their thresholds are no smaller
+    kinds = np.where(statistics.kinds == EvidenceType.WEAK, EvidenceType.LANDMARKS, statistics.kinds)
+    chosen = {kind: kinds == kind for kind in (*rules.by_type, EvidenceType.UNKNOWN)}
     met = [(rule.n_units, int(chosen[kind].sum())) for kind, rule in rules.by_type.items() if chosen[kind].any()]
     met.append((0, int(chosen[EvidenceType.UNKNOWN].sum())))  # always covered
     by_frame, whole = rules.overall.units_ is None, calibration.joint == "max"

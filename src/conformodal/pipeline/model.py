@@ -23,15 +23,7 @@ from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.localizer import Beliefs, Localizer
 from conformodal.localizer.observations import MotionPrior, Posterior
-from conformodal.localizer.regions import (
-    SHARE_RECOGNISED,
-    EvidenceType,
-    PlaceNovelty,
-    PoseRegions,
-    RegionRules,
-    Support,
-    pose_regions,
-)
+from conformodal.localizer.regions import EvidenceType, PlaceNovelty, PoseRegions, RegionRules, Support, pose_regions
 from conformodal.localizer.sources.landmarks import LandmarkSource
 
 from .config import Method, OdometryError
@@ -194,13 +186,6 @@ class PoseModel:
         return float(self.rules.overall.alpha)
 
     @property
-    def recognised_level(self) -> float:
-        """Significance level of the novelty test where a place was recognised; 0 if no p-value is as small."""
-        level = SHARE_RECOGNISED * float(self.rules.level)
-        matched = None if self.novelty is None else self.novelty.matched
-        return level if matched is None or matched.least_p <= level else 0.0
-
-    @property
     def settings(self) -> dict[str, Any]:
         """All current settings, as stored with results."""
         return {**self.configuration, "alpha": self.alpha, "novelty_level": float(self.rules.level)}
@@ -246,7 +231,7 @@ class PoseModel:
         if self.quality is not None and evidence.local_features:
             disturbed = self.quality.left_by(evidence.quality)
         if self.novelty is not None:
-            p = self.novelty.p_values(evidence, beliefs.recognition, disturbed)
+            p = self.novelty.p_values(evidence, beliefs.recognition)
         kinds = self.rules.kinds(p, beliefs.recognised, disturbed)
         supports = self.localizer.supports(beliefs)
         kinds[[support.out_of_range for support in supports]] = EvidenceType.UNKNOWN

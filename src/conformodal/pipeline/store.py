@@ -44,7 +44,7 @@ from .config import Method
 from .identity import FrameIdentities
 from .model import PATHS, ExpectedInput, PoseModel, SourceComparison, path_rule
 
-FORMAT = "conformodal-model-24"
+FORMAT = "conformodal-model-25"
 _JSON = "model.json"
 _FILES = {  # with the first digits of their digests; the detector of local features may have no network: an empty file
     "weights": "weights-{}.safetensors",
@@ -71,7 +71,6 @@ _ARRAYS: dict[str, ArraySpec] = {  # of a model; those of its sources are theirs
     "novelty.units": ArraySpec("lq", ("references",), "anything"),
     "matched.scores": ArraySpec("d", ("matched",), "finite or infinite"),
     "matched.units": ArraySpec("lq", ("matched",), "anything"),
-    "disturbed.novelty": ArraySpec("d", ("disturbed",), "finite or infinite"),
     "disturbed.units": ArraySpec("lq", ("disturbed",), "anything"),
     "disturbed.scores": ArraySpec("fd", ("disturbed", 7), "finite or infinite"),
     "disturbed.known_p": ArraySpec("d", ("disturbed",), "probabilities or NaN"),
@@ -203,10 +202,10 @@ def _arrays(model: PoseModel) -> dict[str, AnyArray | None]:
         arrays |= {"novelty.references": novelty.test.references, "novelty.units": novelty.test.units_}
         if novelty.matched is not None:
             arrays |= {"matched.scores": novelty.matched.scores_, "matched.units": novelty.matched.units_}
-        if novelty.disturbed is not None and rules.disturbed is not None and model.quality is not None:
-            arrays |= {"disturbed.novelty": novelty.disturbed.scores_, "disturbed.units": novelty.disturbed.units_}
-            arrays |= {"disturbed.scores": rules.disturbed.scores_, "disturbed.known_p": rules.disturbed_p}
-            arrays["quality"] = np.stack((model.quality.low, model.quality.high))
+    if rules.disturbed is not None and model.quality is not None:
+        arrays |= {"disturbed.scores": rules.disturbed.scores_, "disturbed.known_p": rules.disturbed_p}
+        arrays |= {"disturbed.units": rules.disturbed.units_}
+        arrays["quality"] = np.stack((model.quality.low, model.quality.high))
     return arrays
 
 
@@ -288,7 +287,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path)
     with _naming("novelty"):
         novelty = _novelty(arrays, config.grid)
     with _naming("calibration"):
-        rules = _rules(bins if paper else localizer.cells, stated, arrays, novelty)
+        rules = _rules(bins if paper else localizer.cells, stated, arrays)
     with _naming("path"):
         path_rules = {path: _path_rule(rules, arrays, path) for path in PATHS if f"path.{path}.scores" in arrays}
     return PoseModel(
@@ -330,19 +329,16 @@ def _prior(record: dict[str, Any]) -> MotionPrior:
     return MotionPrior(**prior | {k: math.nan for k in ("depth_m", "depth_spread") if prior[k] is None})
 
 
-def _rules(
-    cells: QuantileBins, stated: dict[str, Any], arrays: dict[str, AnyArray], novelty: PlaceNovelty | None
-) -> RegionRules:
+def _rules(cells: QuantileBins, stated: dict[str, Any], arrays: dict[str, AnyArray]) -> RegionRules:
     overall = SplitConformal(cells, float(stated["alpha"]), stated["score"], stated["joint"])
     if overall.joint == "max":
         overall.set_scale(arrays["calibration.scale"], arrays["calibration.loc"])
     overall.calibrate_scores(arrays["calibration.scores"], arrays.get("calibration.units"))
     known_p, recognised = arrays["calibration.known_p"], arrays.get("calibration.recognised")
     rules = RegionRules(overall, recognised, known_p, float(stated["novelty_level"]))
-    if novelty is None or novelty.disturbed is None:
+    if "disturbed.scores" not in arrays:
         return rules
-    units = None if overall.units_ is None else novelty.disturbed.units_
-    disturbed = copy(overall).calibrate_scores(arrays["disturbed.scores"], units)
+    disturbed = copy(overall).calibrate_scores(arrays["disturbed.scores"], arrays.get("disturbed.units"))
     return replace(rules, disturbed=disturbed, disturbed_p=arrays["disturbed.known_p"])
 
 
@@ -356,9 +352,6 @@ def _novelty(arrays: dict[str, AnyArray], grid: tuple[int, int]) -> PlaceNovelty
     if "novelty.references" not in arrays:
         return None
     test = NoveltyTest(arrays["novelty.references"], arrays["novelty.units"])
-    matched = disturbed = None
-    if "matched.scores" in arrays:
-        matched = test.rescored(arrays["matched.scores"], arrays["matched.units"])
-    if "disturbed.novelty" in arrays:
-        disturbed = test.rescored(arrays["disturbed.novelty"], arrays["disturbed.units"])
-    return PlaceNovelty(test, grid, matched, disturbed)
+    if "matched.scores" not in arrays:
+        return PlaceNovelty(test, grid)
+    return PlaceNovelty(test, grid, test.rescored(arrays["matched.scores"], arrays["matched.units"]))

@@ -1,6 +1,6 @@
 // The frame in words: a sentence to see, the same sentence to hear, and the numbers.
 const HEARD_EVERY = 6000, SETTLED = 400; // milliseconds
-const sources = { softmax: "softmax alone, landmarks not looked for", global: "the image as a whole", unmatched: "the image as a whole, no landmarks trusted", landmarks: "the image and landmarks", disturbed: "a blurred, dark, bright or noisy image" };
+const sources = { softmax: "softmax alone, landmarks not looked for", global: "the image as a whole", unmatched: "the image as a whole, no landmarks trusted", landmarks: "the image and landmarks", disturbed: "a blurred, dark, bright or noisy image", weak: "the image and few landmarks" };
 const said = { heard: -Infinity, waiting: null };
 
 // The sentence is of the frame that is drawn, which it names. While it plays, not every one is called out.
