@@ -22,7 +22,7 @@ from conformodal.localizer.sources.landmark_map import LandmarkMap
 from conformodal.localizer.sources.landmarks import LandmarkSource
 from conformodal.localizer.sources.neighbours import LocalRegression, LocalSettings, NeighbourSource
 from conformodal.pipeline.identity import FrameIdentities
-from conformodal.pipeline.model import PATHS, ExpectedInput, PoseModel, SourceComparison, path_rule
+from conformodal.pipeline.model import PATHS, ExpectedInput, PathRule, PoseModel, SourceComparison, path_rule
 
 CAMERA = PinholeCamera(150.0, 150.0, 79.5, 59.5, 160, 120, (0.01, -0.01, 0.0, 0.0))
 _FRAMES = np.arange(12)
@@ -70,12 +70,11 @@ def small_model(detector=ORB):
     coarse = FrameEvidence(features[_FRAMES]).coarse(network.config.grid).astype(np.float16)
     test = NoveltyTest(coarse, _FRAMES // 2)
     novelty = PlaceNovelty(test, network.config.grid, test.rescored(rng.normal(size=60), labels))
-    paths = {
-        path: path_rule(localizer.cells, 0.2).calibrate_scores(
-            np.repeat(rng.random((60, 1)), 7, axis=1), labels, np.full(60, 3)
-        )
-        for path in PATHS
-    }
+    paths = {}
+    for path in PATHS:
+        scores = np.repeat(rng.random((60, 1)), 7, axis=1)
+        calibration = path_rule(localizer.cells, 0.2).calibrate_scores(scores, labels, np.full(60, 3))
+        paths[path] = PathRule(calibration, 0.2)
     return PoseModel(
         backbone=network,
         localizer=localizer,

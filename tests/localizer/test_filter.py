@@ -152,6 +152,18 @@ def test_a_stream_is_lost_until_it_shows_a_known_place():
     assert not any(its.lost for its in hindsight_posteriors(seen, prior))  # what follows leads back
 
 
+def test_posteriors_know_how_far_the_nearest_known_place_is():
+    known = np.array([0, 1, 0, 0, 0, 1, 0], dtype=bool)
+    seen = Observations([hypotheses([0.0], [1.0])] * 7, [None] * 7, 0.1 * np.arange(7), known=known)
+    prior = replace(PRIOR, volume_m3=1000.0)
+    forward = [its.unseen_s for its in filter_posteriors(seen, prior)]
+    np.testing.assert_allclose(forward[1:], [0, 0.1, 0.2, 0.3, 0, 0.1])
+    both = [its.unseen_s for its in hindsight_posteriors(seen, prior)]
+    np.testing.assert_allclose(both, [0.1, 0, 0.1, 0.2, 0.1, 0, 0.1])
+    nowhere = hindsight_posteriors(replace(seen, known=np.zeros(7, dtype=bool)), prior)
+    assert all(its.lost or its.unseen_s == np.inf for its in nowhere[:-1])
+
+
 def half_turned(seed=0):
     """A flight from a known pose to frames that may as well be its half-turn, which is likelier in each of them."""
     rng = np.random.default_rng(seed)

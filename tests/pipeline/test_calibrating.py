@@ -111,7 +111,8 @@ def test_as_many_frames_of_each_stretch_calibrate_at_a_lag(monkeypatch):
     lengths = (1000, 100, 40, 14, 6)
     unit, n = np.repeat(np.arange(5), lengths), sum(lengths)
     score = np.arange(n) / n  # tells the frame
-    posterior, windows = SimpleNamespace(lost=False), []
+    posterior, windows = SimpleNamespace(lost=False, unseen_s=0.3), []
+    lost = SimpleNamespace(lost=True, unseen_s=9.0)
 
     class Seen(SimpleNamespace):
         def part(self, rows):
@@ -124,7 +125,7 @@ def test_as_many_frames_of_each_stretch_calibrate_at_a_lag(monkeypatch):
     stubs = {
         "Observations": lambda candidates, motions, times, known: Seen(candidates=candidates, timestamps_s=times),
         "filter_posteriors": lambda seen, prior: [posterior] * len(seen.candidates),
-        "hindsight_posteriors": lambda seen, prior, forward: forward,
+        "hindsight_posteriors": lambda seen, prior, forward: [lost, *forward[1:]],
         "Window": window,
         "score_beliefs": lambda rule, localizer, beliefs, targets: np.repeat(score[beliefs.rows, None], 7, axis=1),
     }
@@ -142,7 +143,8 @@ def test_as_many_frames_of_each_stretch_calibrate_at_a_lag(monkeypatch):
     its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
     motions = dict.fromkeys(range(n))
     paths = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions)
-    rule, lag = paths["lagged"], LAG
+    assert {path.longest_gap_s for path in paths.values()} == {0.3}
+    rule, lag = paths["lagged"].calibration, LAG
     assert set(windows) == {(lag + 1, lag + 1)}
     frames = np.rint(rule.scores_[:, 0] * n).astype(int)
     assert len(np.unique(frames)) == len(frames)
@@ -152,4 +154,4 @@ def test_as_many_frames_of_each_stretch_calibrate_at_a_lag(monkeypatch):
     assert counts.tolist() == [40, 40, 30, 4, 0]  # all that have followers, or 200 / 5
     np.testing.assert_array_equal(rule.units_, unit[frames])
     assert float(rule.weight) == pytest.approx((1 / counts[unit[frames]]).sum())
-    assert len(paths["online"].scores_) == len(paths["hindsight"].scores_) == n
+    assert len(paths["online"].calibration.scores_) == len(paths["hindsight"].calibration.scores_) + 5 == n

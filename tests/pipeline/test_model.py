@@ -11,12 +11,14 @@ from conformodal.features.settings import TrainingConfig
 from conformodal.io import Disturbance, read_recording
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.filter import start
 from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.config import ModelConfig, OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.evaluate import RegionStatistics, coverage_table
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
+from tests.small_model import small_model
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +75,17 @@ def test_regions_of_disturbed_images_are_calibrated_on_disturbed_ones(model, seq
     held = found.regions.contains(pose_targets(sequence.truth[frames], model.sign_reference), joint=True)[told]
     low, _ = coverage_band(model.rules.by_type[EvidenceType.DISTURBED].n_units, int(told.sum()), model.alpha)
     assert low <= held.mean()  # thresholds are no smaller than those of the band
+
+
+def test_a_region_from_a_posterior_is_unbounded_after_a_gap_longer_than_those_that_calibrate():
+    small = small_model()
+    features = np.zeros((3, small.backbone.n_features), np.float32)
+    beliefs, limit = small.localizer.beliefs(FrameEvidence(features)), small.path_rules["online"].longest_gap_s
+    known = start(beliefs.mixtures[0].candidates, known=True)
+    posteriors = [replace(known, unseen_s=gap) for gap in (0.0, limit, 1.01 * limit)]
+    unbounded = small.path_regions(beliefs, posteriors, "online").unbounded
+    assert unbounded.all(axis=1).tolist() == [False, False, True]
+    assert not unbounded[:2].any()
 
 
 @pytest.mark.parametrize("alpha", [0.3, "0.3", Fraction(3, 10)])

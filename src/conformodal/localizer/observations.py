@@ -142,7 +142,7 @@ class Posterior:
 
     hypotheses: Candidates  # most probable first; their probabilities sum to one
     elsewhere: float  # probability that none of them is right, and the pose anywhere in the volume
-    unseen_s: float = 0.0  # seconds since an image showed a known place
+    unseen_s: float = 0.0  # seconds to the nearest frame it rests on whose image shows a known place
 
     @property
     def lost(self) -> bool:

@@ -30,7 +30,7 @@ from conformodal.localizer.sources.registry import SourceData
 from conformodal.tracking.motions import frame_features
 
 from .config import ModelConfig, OdometryError
-from .model import HINDSIGHT, LAGGED, ONLINE, PATHS, SourceComparison, path_rule
+from .model import HINDSIGHT, LAGGED, ONLINE, PATHS, PathRule, SourceComparison, path_rule
 from .training_data import Folds
 
 _MOST_COMPARED = 120  # each is answered twice
@@ -189,6 +189,7 @@ class _Scored(Rows):
 
     scores: RealArray
     lost: BoolArray
+    unseen_s: FloatArray
     rows: IntArray  # among the held-out frames
 
 
@@ -200,7 +201,7 @@ def calibrate_paths(
     calibrated: CalibratedRegions,
     prior: MotionPrior,
     motions: dict[int, RelativeMotion | None],
-) -> dict[str, SplitConformal]:
+) -> dict[str, PathRule]:
     """Rules of regions from posteriors, by path, where stretches or recordings calibrate: each is run as a stream, at
     the recording's rate, by sources that had not seen it. `motions` are those between held-out frames.
 
@@ -244,16 +245,17 @@ def calibrate_paths(
                 after = beliefs.part(which).after(chosen)
                 lost = np.array([one.lost for one in chosen]) | _out_of_range(localizer, after)
                 scores = score_beliefs(rule, localizer, after, targets[held_out[which]])
-                scored[path].append(_Scored(scores, lost, start + which))
+                unseen_s = np.array([one.unseen_s for one in chosen])
+                scored[path].append(_Scored(scores, lost, unseen_s, start + which))
         start += len(held_out)
     return {path: _path_rule(rules.overall, parts, units[folds.held_out]) for path, parts in scored.items() if parts}
 
 
-def _path_rule(overall: SplitConformal, parts: list[_Scored], units: IntArray) -> SplitConformal:
+def _path_rule(overall: SplitConformal, parts: list[_Scored], units: IntArray) -> PathRule:
     """From the scores of the folds; `units` are those of all held-out frames."""
     every = _Scored.concatenate(parts)
     rule = path_rule(overall.bins, overall.alpha).calibrate_scores(every.scores, units[every.rows])
-    return part_of(rule, ~every.lost)
+    return PathRule(part_of(rule, ~every.lost), float(every.unseen_s[~every.lost].max(initial=0.0)))
 
 
 def compare_sources(

@@ -72,6 +72,15 @@ def path_rule(cells: QuantileBins, alpha: Alpha) -> SplitConformal:
     return rule
 
 
+@dataclass(frozen=True, eq=False)
+class PathRule:
+    """The calibration of regions from posteriors."""
+
+    calibration: SplitConformal
+    # from a calibration frame to the nearest whose image shows a known place: posteriors beyond are not calibrated
+    longest_gap_s: float
+
+
 @dataclass(frozen=True)
 class SourceComparison:
     """Held-out frames answered twice: by the sources of the model, and by sources of the folds, each without one fold.
@@ -157,7 +166,7 @@ class PoseModel:
     configuration: dict[str, Any] = field(default_factory=dict)
     comparison: SourceComparison | None = None  # where stretches calibrate
     # posterior to region: the calibration of each of :data:`PATHS`; empty where no motion was measured
-    path_rules: dict[str, SplitConformal] = field(default_factory=dict)
+    path_rules: dict[str, PathRule] = field(default_factory=dict)
     # of the images that the sources know; images beyond are disturbed. None where disturbed ones are not calibrated
     quality: QualityRange | None = None
     detector: Detector = ORB  # of local features
@@ -258,7 +267,8 @@ class PoseModel:
         )
 
     def path_regions(self, beliefs: Beliefs, posteriors: Sequence[Posterior], path: str) -> PoseRegions | None:
-        """Regions of n images from posteriors, unbounded where these are lost, or most probably beyond the cells.
+        """Regions of n images from posteriors, unbounded where these are lost, or most probably beyond the cells, or
+        where no image shows a known place for longer than in the streams that calibrate them.
 
         `path`, one of :data:`PATHS`, says which frames the posteriors rest on; None where these are not calibrated.
         """
@@ -267,14 +277,19 @@ class PoseModel:
             return None
         after = beliefs.after(posteriors)
         supports = self.localizer.supports(after)
-        lost = [p.lost or support.out_of_range for p, support in zip(posteriors, supports, strict=True)]
-        thresholds = np.where(np.array(lost)[:, None], np.inf, rule.thresholds_)
-        return self._level_sets(rule, after, supports, thresholds)
+        lost = [
+            posterior.lost or posterior.unseen_s > rule.longest_gap_s or support.out_of_range
+            for posterior, support in zip(posteriors, supports, strict=True)
+        ]
+        thresholds = np.where(np.array(lost)[:, None], np.inf, rule.calibration.thresholds_)
+        return self._level_sets(rule.calibration, after, supports, thresholds)
 
     def recalibrate(self, alpha: Alpha) -> None:
         """Change the miscoverage rate, from the stored calibration scores."""
         self.rules = self.rules.at(alpha)
-        self.path_rules = {path: rule.at(alpha) for path, rule in self.path_rules.items()}
+        self.path_rules = {
+            path: replace(rule, calibration=rule.calibration.at(alpha)) for path, rule in self.path_rules.items()
+        }
 
     def set_novelty_level(self, level: float) -> None:
         """Flag images whose p-value is at most `level` as unknown; at 0, none."""

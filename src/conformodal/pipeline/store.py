@@ -42,7 +42,7 @@ from conformodal.localizer.sources.registry import SourceState, find_source
 
 from .config import Method
 from .identity import FrameIdentities
-from .model import PATHS, ExpectedInput, PoseModel, SourceComparison, path_rule
+from .model import PATHS, ExpectedInput, PathRule, PoseModel, SourceComparison, path_rule
 
 FORMAT = "conformodal-model-25"
 _JSON = "model.json"
@@ -82,6 +82,7 @@ for _path_name in PATHS:
         f"path.{_path_name}.scores": ArraySpec("fd", _rows, "finite or infinite"),
         f"path.{_path_name}.units": ArraySpec("lq", _rows, "anything"),
         f"path.{_path_name}.sizes": ArraySpec("lq", _rows, "positive"),
+        f"path.{_path_name}.longest_gap_s": ArraySpec("d", (1,)),
     }
 _RATE, _SHARE, _POSITIVE = Range(0, 1, "()"), Range(0, 1), Range(0, 1e9, "(]")
 _COUNT, _SIDE = Range(0, 10**9, whole=True), Range(1, 100_000, whole=True)
@@ -196,8 +197,10 @@ def _arrays(model: PoseModel) -> dict[str, AnyArray | None]:
         "calibration.scale": scale,
     }
     for path, rule in model.path_rules.items():
-        arrays[f"path.{path}.scores"] = rule.scores_.max(axis=1)
-        arrays |= {f"path.{path}.units": rule.units_, f"path.{path}.sizes": rule.unit_sizes_}
+        calibration = rule.calibration
+        arrays[f"path.{path}.scores"] = calibration.scores_.max(axis=1)
+        arrays |= {f"path.{path}.units": calibration.units_, f"path.{path}.sizes": calibration.unit_sizes_}
+        arrays[f"path.{path}.longest_gap_s"] = np.array([rule.longest_gap_s])
     if novelty is not None:
         arrays |= {"novelty.references": novelty.test.references, "novelty.units": novelty.test.units_}
         if novelty.matched is not None:
@@ -338,14 +341,16 @@ def _rules(cells: QuantileBins, stated: dict[str, Any], arrays: dict[str, AnyArr
     rules = RegionRules(overall, recognised, known_p, float(stated["novelty_level"]))
     if "disturbed.scores" not in arrays:
         return rules
-    disturbed = copy(overall).calibrate_scores(arrays["disturbed.scores"], arrays.get("disturbed.units"))
+    units = None if overall.units_ is None else arrays["disturbed.units"]
+    disturbed = copy(overall).calibrate_scores(arrays["disturbed.scores"], units)
     return replace(rules, disturbed=disturbed, disturbed_p=arrays["disturbed.known_p"])
 
 
-def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], path: str) -> SplitConformal:
+def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], path: str) -> PathRule:
     rule = path_rule(rules.overall.bins, rules.overall.alpha)
     scores = np.repeat(arrays[f"path.{path}.scores"][:, None], rule.bins.n_targets, axis=1)
-    return rule.calibrate_scores(scores, *(arrays[f"path.{path}.{name}"] for name in ("units", "sizes")))
+    rule.calibrate_scores(scores, *(arrays[f"path.{path}.{name}"] for name in ("units", "sizes")))
+    return PathRule(rule, float(arrays[f"path.{path}.longest_gap_s"][0]))
 
 
 def _novelty(arrays: dict[str, AnyArray], grid: tuple[int, int]) -> PlaceNovelty | None:

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from conformodal.conformal import SplitConformal
 from conformodal.core.extras import require_extra
 from conformodal.core.files import default_cache_dir
 from conformodal.core.parallel import side_by_side
@@ -32,7 +31,7 @@ from .calibrate import (
 )
 from .config import Method, ModelConfig, OdometryError
 from .identity import identify
-from .model import ExpectedInput, PoseModel
+from .model import ExpectedInput, PathRule, PoseModel
 from .training_data import Folds, TrainingData, make_folds
 
 
@@ -109,7 +108,7 @@ def train_model(
     if config.method is not Method.PAPER:
         depth_m, depth_spread = data.depths
         prior = replace(prior, depth_m=depth_m, depth_spread=depth_spread)
-    path_rules: dict[str, SplitConformal] = {}
+    path_rules: dict[str, PathRule] = {}
     if config.method is Method.PAPER:  # without a novelty test
         regions = CalibratedRegions(paper_rules(sources, folds.held_out, localizer, config), None, [])
     else:
