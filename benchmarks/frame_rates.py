@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from common import RESULTS, ROOT, cached_json, mean_interval, parser_with_seeds, part_of, write_table
 
+from conformodal.conformal.coverage import grouped_coverage_band
 from conformodal.corridor import write_corridor
 from conformodal.corridor.flight import FRAME_RATE_HZ, drone_path, write_flight
 from conformodal.corridor.render import Renderer
@@ -70,13 +71,17 @@ def estimator(split: str, seed: int, runs: Path) -> VisualOdometry:
 
 
 def measured(split: str, seed: int, rate_hz: float, runs: Path) -> dict[str, float]:
-    """Coverage of all regions of a flight, and how often a reliable one misses the pose."""
+    """Coverage and size of all regions of a flight, and how often a reliable one misses the pose."""
     odometry, flight = estimator(split, seed, runs), new_flight(seed, rate_hz, runs)
     targets = pose_targets(flight.require_truth(), odometry.model.sign_reference)
     run = odometry.process(flight)
-    held = {"image": run.regions.contains(targets, joint=True)}
-    held |= {path: regions.contains(targets, joint=True) for path, regions in run.path_regions.items()}
-    numbers = {path: float(inside.mean()) for path, inside in held.items()}
+    by_name = {"image": run.regions, **run.path_regions}
+    held = {name: regions.contains(targets, joint=True) for name, regions in by_name.items()}
+    numbers = {name: float(inside.mean()) for name, inside in held.items()}
+    for name, regions in by_name.items():
+        lengths = np.where(regions.unbounded.any(axis=1), np.inf, regions.length[:, :3].mean(axis=1))
+        numbers[f"{name}_m"] = float(np.median(lengths))
+    numbers |= {"units": odometry.model.calibration.n_units, "seconds": int(np.ptp(flight.timestamps_s))}
     missed = ~held.get("online", held["image"])
     return numbers | {"reliable": float(run.reliable.mean()), "missed": float(np.mean(run.reliable & missed))}
 
@@ -85,7 +90,7 @@ def main() -> None:
     parser = parser_with_seeds(__doc__, seeds=(10, 11, 12))
     parser.add_argument("--runs", type=Path, default=ROOT / "frame-rates-out")
     options = parser.parse_args()
-    rows, columns = [], ("image", "online", "hindsight", "reliable", "missed")
+    rows, columns = [], ("image", "online", "hindsight", "image_m", "online_m", "reliable", "missed")
     for split in SPLITS:
         for rate in RATES_HZ:
             by_seed = [
@@ -96,15 +101,18 @@ def main() -> None:
                 for seed in options.seeds
             ]
             cells = [mean_interval([one[key] for one in by_seed if key in one], 3) for key in columns]
-            rows.append([split, str(rate), *cells])
+            band = grouped_coverage_band([(one["units"], one["seconds"]) for one in by_seed], ALPHA, 0.95)
+            rows.append([split, str(rate), f"{band[0]:.2f} to {band[1]:.2f}", *cells])
     note = (
         f"Mean and 95 % interval over the flights of seeds {options.seeds}, alpha = {ALPHA}: whole poses in the "
-        "image's region, in that from the frames so far, and in hindsight; poses called reliable, and those whose "
-        "region from the frames so far (the image's where there is none) misses, as shares of all frames. No "
-        "guarantee reaches another flight: coverage here is an observation."
+        "image's region, in that from the frames so far, and in hindsight; the median of the mean length of the first "
+        "two along an axis; poses called reliable, and those whose region from the frames so far (the image's where "
+        "there is none) misses, as shares of all frames. Band: the central 95 % of the coverage, if the flight were "
+        "exchangeable with what calibrates, and all frames of a second alike. No guarantee reaches another flight: "
+        "coverage here is an observation."
     )
     title = "Coverage at other frame rates"
-    header = ["split", "frames per second", *columns]
+    header = ["split", "frames per second", "band", *columns]
     write_table("frame_rates", title, shlex.join(["python", *sys.argv]), header, rows, note)
 
 
