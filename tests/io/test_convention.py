@@ -48,6 +48,7 @@ def test_the_convention_of_given_poses_is_told(real_data, data):
         "camera-to-world, OpenGL axes": given @ OPENGL_AXES,
         "world-to-camera, OpenGL axes": inverse(given @ OPENGL_AXES),
         "camera-to-world, left-handed axes with y up (Unity)": MIRRORED @ given @ MIRRORED,
+        "those of a body with x forward and z up (ROS)": given @ convention._OF_BODY.T,
         "quaternions wxyz": reordered(given, True),
         "quaternions wxyz, world-to-camera": reordered(inverse(given), True),
         "quaternions xyzw, as COLMAP's world-to-camera": inverse(reordered(inverse(given), False)),

@@ -20,8 +20,10 @@ from .recording import Recording
 AS_GIVEN = "camera-to-world, OpenCV axes"
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _Y_DOWN = np.diag([1.0, -1.0, 1.0, 1.0])
+_OF_BODY = np.eye(4)[[2, 0, 1, 3]] * [[1.0], [-1.0], [-1.0], [1.0]]  # a camera that looks along x, z up
 _PAIRS, _STEPS, _CORNERS, _LEAST_MATCHES = 32, (1, 2, 4, 8), 300, 200
 _FLOW_PX = 4.0
+_LEAST_TRACKED = 0.5  # of the corners: where frames are so far apart that most are lost, many of the others are wrong
 _NEAR_PX = 2.0  # from the epipolar line
 # Shares of the matches near their line. Poses by motion capture, fusion or rendering have 0.89 to 1.00 as they are,
 # 0.27 to 0.66 a tenth of a second late and 0.09 to 0.34 a second late (TUM fr1, 7-Scenes, ICL-NUIM).
@@ -138,6 +140,7 @@ def _best_convention(poses_se3: FloatArray, share_of: Callable[[FloatArray], flo
         "camera-to-world, OpenGL axes": poses_se3 @ _OPENGL,
         "world-to-camera, OpenGL axes": back @ _OPENGL,
         "camera-to-world, left-handed axes with y up (Unity)": _Y_DOWN @ poses_se3 @ _Y_DOWN,
+        "those of a body with x forward and z up (ROS)": poses_se3 @ _OF_BODY,
     }
     for order, by in (("wxyz", -1), ("xyzw", 1)):  # a file whose order is the other one
         conventions[f"quaternions {order}"] = rolled = _rolled(poses_se3, by)
@@ -190,7 +193,9 @@ def _match_later_frame(recording: Recording, frames: list[int]) -> _LaterFrame |
             again, back, _ = cv2.calcOpticalFlowPyrLK(other, grey, tracked, None)  # type: ignore[call-overload]
             kept = (there & back).ravel().astype(bool) & (np.linalg.norm(again - corners, axis=2).ravel() < 1)
             pixels = np.stack((corners[kept, 0], tracked[kept, 0]), axis=1).astype(np.float64)
-            if len(pixels) and np.median(np.linalg.norm(pixels[:, 0] - pixels[:, 1], axis=1)) >= _FLOW_PX:
+            if kept.mean() < _LEAST_TRACKED:
+                return None
+            if np.median(np.linalg.norm(pixels[:, 0] - pixels[:, 1], axis=1)) >= _FLOW_PX:
                 return _LaterFrame(step, pixels)
     except ImageError:
         pass
