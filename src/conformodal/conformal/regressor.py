@@ -217,7 +217,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             held_out, training = split_units(members, size, as_alpha(self.alpha), random)
         base, dense = as_learner(self.estimator, random.randint(2**31 - 1))
         n_bins = self.n_bins if self.n_bins is not None else _BINS_OF_DENSITY if dense else _BINS_OF_CLASSIFIER
-        tail = _TAIL if 0 < held_out.size < _FEW_TO_CALIBRATE else 0.0
+        n_units = held_out.size if members is None else np.unique(members[held_out]).size
+        tail = _TAIL if 0 < n_units < _FEW_TO_CALIBRATE else 0.0
         bins = QuantileBins(n_bins, margin=_MARGIN, tail=tail, y_min=self.y_min, y_max=self.y_max)
         self.bins_ = bins.fit(values[training])
         self.bins_.check_limits(values)
@@ -402,6 +403,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 kind = "unit" if units is not None else "sample"
                 why = f"{counted(n, f'calibration {kind} is', f'calibration {kind}s are')} too few"
                 if self.calibrator_.rank <= n:
+                    n = len(values)
                     why = f"{beyond} of {n} calibration samples have values beyond those learnt from, too many"
                 warnings.warn(f"regions are unbounded: {why} for alpha = {self.calibrator_.alpha}", stacklevel=3)
             return
