@@ -34,6 +34,10 @@ def repeated(noise):
     return table.iloc[at].reset_index(drop=True), y.to_numpy()[at] + RNG.normal(0, noise, N)
 
 
+def numbered(table, y):
+    return table.assign(order=RNG.permutation(10 * N)[:N]), y
+
+
 @pytest.mark.parametrize(
     ("table", "named"),
     [
@@ -41,6 +45,7 @@ def repeated(noise):
         (walk(True), "in time are alike"),
         (walk(False), "in order are alike"),
         (repeated(0), "1200 of 1200 rows are identical"),
+        (numbered(*repeated(0)), "1200 of 1200 rows are identical"),
         (repeated(0.1), "new set of inputs"),
     ],
 )
@@ -60,10 +65,11 @@ def sound_tables():
     return [
         load_diabetes(return_X_y=True, as_frame=True), (labels, (labels.u == "a") + RNG.integers(0, 5, N)), (X, y),
         (X[up], y[up]), (x[:, None], np.sin(9 * x) + RNG.normal(0, 0.1, N)), (X[:30], y[:30]),
+        numbered(pd.DataFrame(X), y),
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("table", sound_tables(), ids=["diabetes", "labels", "friedman", "sorted", "grid", "few"])
+@pytest.mark.parametrize("table", sound_tables(), ids=["diabetes", "labels", "friedman", "sorted", "grid", "few", "id"])
 def test_sound_tables_are_not_told(table):
     assert doubt_rows(table[0], np.asarray(table[1], float)[:, None], False, False) == []
 
@@ -82,6 +88,14 @@ def test_units_and_the_last_rows_mend_what_is_told():
     X, y = walk(True)
     last = ConformalRegressor(tree, n_bins=20, random_state=0, calibration="last", calibration_size=0.25)
     assert last.fit(X[["temp"]], y).calibrator_.n_units == 300
+
+
+def test_bins_reach_far_beyond_the_values_where_units_are_few():
+    X, y = subjects(40)
+    tree = DecisionTreeClassifier(min_samples_leaf=5, random_state=0)
+    reg = ConformalRegressor(tree, n_bins=20, random_state=0).fit(X[["x"]], y, units=X.subject)
+    assert reg.calibrator_.n_units == 10
+    assert np.ptp(reg.bins_.edges_[0]) > 2 * np.ptp(y)  # else one value beyond would unbound all sets
 
 
 def test_a_coverage_given_for_alpha_is_asked_about():

@@ -240,6 +240,15 @@ def mixed():
     return ConformalRegressor(random_state=0).fit(X[:300], y[:300]), X[300:], y[300:]
 
 
+def test_later_dates_are_not_told_and_far_ones_are(mixed):
+    reg, X, _ = mixed
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        reg.predict_region(X.assign(time=X.time + pd.Timedelta(days=30)))
+    with pytest.warns(DataWarning, match=r"time is beyond 20\d\d-\d\d-\d\d to 2024-01-1\d, its range, in 100"):
+        reg.predict_region(X.assign(time=X.time - pd.Timedelta(days=3000)))
+
+
 @pytest.mark.parametrize(
     ("new", "named"),
     [

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import binom, rankdata
+from scipy.special import bdtrc
+from scipy.stats import rankdata
 from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.model_selection import GroupKFold
 
@@ -14,7 +15,7 @@ from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.words import counted
 
-from .density.encoder import column_of, columns_of, dense_inputs, has_zone, is_frame, is_time
+from .density.encoder import columns_of, columns_where, dense_inputs, has_zone, is_frame, is_time
 from .density.named import most_correlated
 from .scores import row_uniforms
 
@@ -34,18 +35,19 @@ class DataWarning(UserWarning):
 
 def _chance(rows: BoolArray, share: float) -> float:
     """Probability of so many rows or more, of which each is one with probability `share`."""
-    return float(binom.sf(rows.sum() - 1, rows.size, share)) if rows.any() else 1.0
+    return float(bdtrc(rows.sum() - 1, rows.size, share)) if rows.any() else 1.0
 
 
 @dataclass
 class ColumnMemory:
-    """What one column held: rows, rows without a value, the range of numbers, how often each label occurred, a zone."""
+    """What one column held: rows, rows without a value, the range of numbers, how often each label, dates, a zone."""
 
     n: int = 0
     n_missing: int = 0
     low: float = np.inf
     high: float = -np.inf
     labels: dict[str, int] = field(default_factory=dict)
+    dated: bool = False
     zone: bool = False
 
     def learn(self, values: Any) -> None:
@@ -69,8 +71,10 @@ class ColumnMemory:
         if values.dtype.kind == "f":
             outside = ~gaps & ((values < self.low) | (values > self.high))
             far = np.abs(values - (self.low + self.high) / 2) > _FAR * (self.high - self.low)
-            if (outside & far).any() or _chance(outside, 2 / (self.n + 1)) < _CHANCE**2:
-                words.append(f"{name} is beyond {self.low:.6g} to {self.high:.6g}, its range, in {outside.sum()}")
+            # later dates are what new rows have
+            if (outside & far).any() or (not self.dated and _chance(outside, 2 / (self.n + 1)) < _CHANCE**2):
+                ends = [np.datetime64(int(end), "D") if self.dated else f"{end:.6g}" for end in (self.low, self.high)]
+                words.append(f"{name} is beyond {ends[0]} to {ends[1]}, its range, in {outside.sum()}")
             return unlike, words
         new = ~gaps & ~np.isin(values, list(self.labels))
         once = sum(count == 1 for count in self.labels.values())  # of n: the chance of a new label (Good 1953)
@@ -92,25 +96,30 @@ class TableMemory:
         """Take in the rows of a table; what is not a table of numbers, text and dates is passed over."""
         columns = _columns(X)
         self.columns = self.columns or [ColumnMemory() for _ in columns]
+        zoned, dated = columns_where(X, has_zone), columns_where(X, is_time)
         for j, (memory, values) in enumerate(zip(self.columns, columns, strict=len(columns) > 0)):
             memory.learn(values)
-            memory.zone = is_frame(X) and has_zone(column_of(X, j))
+            memory.dated, memory.zone = j in dated, j in zoned
 
     def compare(self, X: Any) -> tuple[BoolArray, str]:
         """Rows (n,) with a label, or a missing value, where none occurred, and a warning or nothing."""
         unlike, words = np.zeros(X.shape[0], dtype=np.bool_), list[str]()
         texts = [j for j, memory in enumerate(self.columns) if memory.labels]
+        zoned, names = columns_where(X, has_zone), _names(X)
         for j, (memory, values) in enumerate(zip(self.columns, _columns(X, texts), strict=False)):
-            name = X.columns[j] if is_frame(X) else f"column {j}"
-            rows, told = memory.compare(values, name)
+            rows, told = memory.compare(values, names[j])
             unlike, words = unlike | rows, words + told
-            if memory.zone != (is_frame(X) and has_zone(column_of(X, j))):
-                words.append(f"{name} had {'a' if memory.zone else 'no'} time zone in training")
+            if memory.zone != (j in zoned):
+                words.append(f"{names[j]} had {'a' if memory.zone else 'no'} time zone in training")
         return unlike, f"of {counted(len(unlike), 'row')}: {'; '.join(words)}" if words else ""
 
 
 def _missing(values: Any) -> BoolArray:
     return np.asarray(np.isnan(values) if values.dtype.kind == "f" else values == "")
+
+
+def _names(X: Any) -> list[str]:
+    return [str(name) for name in X.columns] if is_frame(X) else [f"column {j}" for j in range(X.shape[1])]
 
 
 def _columns(X: Any, text: Any = ()) -> list[Any]:
@@ -138,25 +147,29 @@ def doubt_rows(X: Any, y: FloatArray, has_units: bool, in_time: bool) -> list[st
 def _doubt_units(X: Any, columns: list[Any], matrix: FloatArray, z: FloatArray) -> list[str]:
     """Rows that are identical, and the column whose values name what rows were drawn together in."""
     codes = [np.unique(values, return_inverse=True)[1] for values in columns]
-    n, whole = len(z), np.column_stack(codes).astype(np.float64)
+    # what is another number or text in every row tells no rows apart
+    names = [of.dtype.kind != "f" or not (of % 1).any() for of in columns]
+    n, telling = len(z), [code for code, name in zip(codes, names, strict=True) if code.max() + 1 < len(z) or not name]
+    whole = np.column_stack([np.zeros(n), *telling])
     inputs, rows = (np.unique(row_uniforms(part), return_inverse=True)[1] for part in (whole, np.hstack((whole, z))))
     repeated, twins = (np.bincount(code)[code] > 1 for code in (inputs, rows))
     # in a table of few labels, rows repeat by chance
-    continuous = 3 * max(int(code.max()) for code in codes) > inputs.max()
+    continuous = 3 * whole.max() > inputs.max()
     if continuous and twins.mean() > 0.1:
         alike = f"{twins.sum()} of {n} rows are identical to another row, on both sides of the split"
         return [f"{alike}: coverage is that of repeated rows, not of new ones; drop the duplicates, or name units"]
     candidates = [(np.inf, "set of inputs", inputs)] if continuous and repeated.mean() > 0.1 else []
+    dated = columns_where(X, is_time)
     for j, (code, values) in enumerate(zip(codes, columns, strict=True)):
         sizes = np.bincount(code)
-        if not (3 * sizes.size <= n and 6 * sizes.max() < n) or is_time(X, j):
+        if not (3 * sizes.size <= n and 6 * sizes.max() < n) or j in dated:
             continue
         means = np.column_stack([np.bincount(code, part) for part in z.T]) / sizes[:, None]
         share = float((sizes @ means**2).max() / n)  # of the variance of the target
         # a number that means something has neighbours that are alike
         number = values.dtype.kind == "f" and ((np.diff(means, axis=0) ** 2).mean(axis=0) < means.var(axis=0)).any()
         if share > 0.1 and not number:
-            candidates.append((share, str(X.columns[j]) if is_frame(X) else f"column {j}", code))
+            candidates.append((share, _names(X)[j], code))
     for _, name, code in sorted(candidates, key=lambda one: -one[0])[:2]:
         order = np.random.default_rng(0).permutation(code.max() + 1)
         sizes = np.bincount(code)[order]
@@ -174,15 +187,18 @@ def _doubt_units(X: Any, columns: list[Any], matrix: FloatArray, z: FloatArray) 
 def _doubt_order(X: Any, columns: list[Any], matrix: FloatArray, z: FloatArray) -> list[str]:
     """Rows that are like their neighbours in the order of time, or of the index."""
     n, index = len(z), np.asarray(getattr(X, "index", np.arange(len(z))))
-    dates = [values for j, values in enumerate(columns) if is_time(X, j)]
+    dates = [columns[j] for j in columns_where(X, is_time)]
     usable = index.shape == (n,) and index.dtype.kind in "iufM" and np.unique(index).size == n
     order = np.argsort(dates[0] if dates else index if usable else np.arange(n), kind="stable")
     rows = order[:: -(-n // _MOST_ROWS)]
     matrix, z = matrix[rows], z[rows]
     if dates:  # what only counts the time
         matrix = matrix[:, (np.diff(matrix, axis=0) < 0).any(axis=0)]
-    elif np.abs(np.corrcoef(np.arange(len(z)), rankdata(z, axis=0), rowvar=False)[0, 1:]).max() > 0.98:
-        return []  # by the target, for show
+    else:
+        with np.errstate(invalid="ignore"):  # of a constant
+            trend = np.corrcoef(np.arange(len(z)), rankdata(z, axis=0), rowvar=False)[0, 1:]
+        if np.nanmax(np.abs(trend), initial=0) > 0.98:
+            return []  # by the target, for show
     errors = _left_out(matrix, z, np.arange(len(z))) if matrix.shape[1] else z
     errors = errors - errors.mean(axis=0)
     alike = ((errors[1:] * errors[:-1]).mean(axis=0) / np.maximum((errors**2).mean(axis=0), 1e-300)).max()

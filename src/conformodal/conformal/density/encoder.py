@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from datetime import UTC, date, datetime
 from decimal import Decimal
 from numbers import Real
@@ -73,9 +73,8 @@ def has_zone(column: Any) -> bool:
     return any(getattr(first, name, None) is not None for name in ("tz", "time_zone", "tzinfo"))
 
 
-def is_time(X: Any, j: int) -> bool:
-    """Whether a column of a table holds dates or times."""
-    column = column_of(X, j) if is_frame(X) else X[:0, j]
+def is_time(column: Any) -> bool:
+    """Whether a column holds dates or times."""
     first = next((value for value in column if not is_missing(value)), None)
     return isinstance(first, (date, np.datetime64))
 
@@ -103,6 +102,12 @@ def _finite_columns(X: Any) -> dict[int, FloatArray]:
     numbers = X.select_dtypes("float64").to_numpy()
     places = np.flatnonzero(np.asarray(X.dtypes == "float64"))
     return {} if np.isinf(numbers).any() else dict(zip(places.tolist(), numbers.T, strict=True))
+
+
+def columns_where(X: Any, holds: Callable[[Any], bool]) -> list[int]:
+    """Positions of a frame's columns for which something holds that does not of floats; none of an array."""
+    plain = _finite_columns(X)
+    return [j for j in range(X.shape[1]) if j not in plain and holds(column_of(X, j))] if is_frame(X) else []
 
 
 def columns_of(X: Any, text: Collection[int] = ()) -> list[AnyArray]:
