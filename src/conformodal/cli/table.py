@@ -186,21 +186,21 @@ def choose_columns(
             raise TableError(f"{file}: target {name!r} must hold numbers, got {value!r}; see --decimal and --thousands")
     totals = total_rows(frame)
     whole = frame[needed].notna().all(axis=1) & ~totals
-    gaps, used, left_out, rows = np.flatnonzero(~whole & ~totals), dict[str, str](), [], frame[whole]
+    gaps, used, left_out, rows = np.flatnonzero(~whole & ~totals), list[str](), [], frame[whole]
     if len(rows) < _FEWEST_ROWS:
         raise TableError(f"{file}: {counted(len(rows), 'row')} with all targets, at least {_FEWEST_ROWS} are needed")
-    for name in frame.columns.difference(targets, sort=False):
-        why = "excluded" if name in excluded else "" if name == group else _useless(frame[name])
+    for name, column in frame.drop(columns=targets).items():
+        why = "excluded" if name in excluded else "" if name == group else _useless(column)
         if why:
             left_out.append(f"{name} ({why})")
         else:
-            used[name] = _describe_column(rows[name])
+            used.append(name)
     if not used:
         raise TableError(f"{file}: no column is left to learn from; {'; '.join(left_out) or 'all are targets'}")
     more = f" and {len(used) - _NAMED} more" if len(used) > _NAMED else ""
     lines = [
         f"target: {listed(targets)}" + (f"; groups: {group}" if group else ""),
-        f"used: {', '.join(list(used.values())[:_NAMED])}{more}",
+        f"used: {', '.join(_describe_column(rows[name]) for name in used[:_NAMED])}{more}",
     ]
     lines += [f"left out: {', '.join(left_out)}"] if left_out else []
     if gaps.size:
@@ -208,7 +208,7 @@ def choose_columns(
         lines.append(f"left out: {counted(gaps.size, 'row')} without a target or group (rows {first})")
     at = listed([str(row + 1) for row in np.flatnonzero(totals)[:5]] or ["none"])
     lines += [f"note: left out: row {at}, which holds totals of the others"] if totals.any() else []
-    inputs = rows[list(used)]
+    inputs = rows[used]
     if group is not None and inputs[group].dtype.kind == "f" and (inputs[group] % 1 == 0).all():
         inputs = inputs.astype({group: int})  # group 2, not 2.0
     return inputs, rows[targets], lines
@@ -238,8 +238,8 @@ def _useless(column: pd.Series) -> str:
     """Why a column is left out, or nothing."""
     if re.fullmatch(_INDEX, str(column.name)) and column.dtype.kind == "f" and (column.dropna() % 1 == 0).all():
         return "an index"
-    gaps = column.isna().to_numpy()
-    values, missing = column.to_numpy()[~gaps], gaps.mean()  # of NumPy: there may be thousands of columns
+    gaps = pd.isna(column.to_numpy())  # of NumPy: there may be thousands of columns
+    values, missing = column.to_numpy()[~gaps], gaps.mean()
     if missing > _MOST_MISSING:
         return f"{missing:.0%} missing"
     if (values == values[:1]).all():

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from conformodal.core.arrays import AnyArray
+from conformodal.core.arrays import AnyArray, FloatArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.files import read_file
 from conformodal.core.words import counted, listed
@@ -83,10 +83,10 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
             at = (values.dt.day != values.dt.month).where(values.notna(), False).idxmax()
             notes.append(f"{name}: dates, of which {column[at]!r} is read as {values[at]:%Y-%m-%d}")
         elif values.dtype.kind == "f":
-            notes += [f"{name}: {note}" for note in _doubts(column, values, written)]
+            notes += [f"{name}: {note}" for note in _doubts(column, values.to_numpy(), written)]
         if len(lost := column[values.isna() & column.notna()]):
             notes.append(f"{name}: {counted(len(lost), 'value')} taken as missing, such as {lost.iloc[0]!r}")
-    return pd.DataFrame(columns), notes
+    return pd.DataFrame(columns, cells.index), notes
 
 
 def _rows(text: str, file: Path, shape: dict[str, Any], na_values: Sequence[str]) -> pd.DataFrame:
@@ -184,12 +184,12 @@ def _decimal_mark(cells: pd.DataFrame, separator: str) -> str:
     return max(marks, key=lambda mark: marks[mark])
 
 
-def _plain_numbers(cells: pd.DataFrame) -> dict[Any, pd.Series]:
+def _plain_numbers(cells: pd.DataFrame) -> dict[Any, FloatArray]:
     """The columns that hold finite numbers and gaps alone, read in one go: there may be thousands."""
     numbers = pd.to_numeric(cells.to_numpy(dtype=object).ravel(), errors="coerce").reshape(cells.shape)
     gaps = cells.isna().to_numpy()
     plain = (np.isfinite(numbers) | gaps).all(axis=0) & ~gaps.all(axis=0)
-    return {cells.columns[j]: pd.Series(numbers[:, j], cells.index, dtype=float) for j in np.flatnonzero(plain)}
+    return {name: numbers[:, j].astype(float) for j, name in enumerate(cells.columns) if plain[j]}
 
 
 def _numbers(file: Path, column: pd.Series, decimal: str, thousands: str | None) -> pd.Series | None:
@@ -234,12 +234,11 @@ def _dates(column: pd.Series, separator: str) -> pd.Series | None:
     return dates if dates.notna().sum() >= _LEAST_SHARE * len(given) else None
 
 
-def _doubts(column: pd.Series, values: pd.Series, written: CsvFormat) -> list[str]:
+def _doubts(column: pd.Series, numbers: FloatArray, written: CsvFormat) -> list[str]:
     """Notes on numbers that could mean another thing."""
     notes = []
-    numbers = values.to_numpy()
     present = ~np.isnan(numbers)
-    pairs = zip(column[present], numbers[present], strict=True)
+    pairs = zip(column.to_numpy()[present], numbers[present], strict=True)
     marked = ((cell, number) for cell, number in pairs if "." in cell or "," in cell)
     cell, number = next(marked, ("", 0.0))
     doubtful = re.fullmatch(_GROUPED, cell) and not (written.decimal or written.thousands)
