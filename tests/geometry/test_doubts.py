@@ -42,6 +42,10 @@ def turned(path, left=None, right=None, lever=(0, 0, 0)):
     return Trajectory(path.timestamps_s, positions, rotation.as_quat(scalar_first=True))
 
 
+def inverted(path):
+    return Trajectory.from_poses_se3(path.timestamps_s, np.linalg.inv(path.poses_se3))
+
+
 def test_a_sound_truth_is_not_doubted(estimate, truth):
     assert doubt_truth(estimate, truth).reasons == ()
     assert doubt_clock(estimate, truth) == ""
@@ -66,6 +70,7 @@ def test_a_camera_that_does_not_turn_has_constant_orientations(estimate, truth):
     [
         (lambda t: replace(t, orientations_quat_wxyz=np.roll(t.orientations_quat_wxyz, 1, axis=1)), "order w x y z"),
         (lambda t: replace(t, orientations_quat_wxyz=np.roll(t.orientations_quat_wxyz, -1, axis=1)), "order x y z w"),
+        (inverted, "poses seem to be world-to-camera"),
         (lambda t: turned(t, right=MOUNT), "120 degrees in the frame of the camera"),
         (lambda t: turned(t, left=MOUNT), "120 degrees in the frame of the world"),
         (lambda t: turned(t, lever=(0.11, 0, 0)), "constant 0.11 m from the estimate, in the frame of the camera"),
@@ -86,3 +91,11 @@ def test_a_clock_that_is_ahead_is_told_with_the_shift(estimate, truth, shift_s):
     told = doubt_clock(estimate, replace(truth, timestamps_s=truth.timestamps_s + shift_s))
     assert f"{abs(shift_s):.3g} s {'ahead' if shift_s > 0 else 'behind'}" in told
     assert f"--time-offset {-shift_s:.3g}" in told
+
+
+def test_a_turned_world_is_told_where_nearly_all_turns_are_level(truth):
+    sway = Rotation.from_rotvec(np.random.default_rng(2).normal(scale=0.05, size=(N, 3)))
+    turns = Rotation.from_rotvec(np.linspace(0, 7, N)[:, None] * [0, 0, 1]) * sway
+    estimate = replace(truth, orientations_quat_wxyz=turns.as_quat(scalar_first=True))
+    north = Rotation.from_euler("z", 90, degrees=True)
+    assert "frame of the world" in doubt_truth(estimate, turned(estimate, left=north)).reasons[0]

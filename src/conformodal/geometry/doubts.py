@@ -49,25 +49,28 @@ def _doubt_orientations(estimate: Rotation, truth: Rotation) -> str:
     if given < _WRONG_DEG:
         return ""
     quats = truth.as_quat(scalar_first=True)
-    for order, by in (("w x y z", -1), ("x y z w", 1)):
-        mended = median_deg(Rotation.from_quat(np.roll(quats, by, axis=1), scalar_first=True).inv() * estimate)
-        if mended < _MENDED * given:
-            return (
-                f"its quaternions seem to be in the order {order}: {mended:.2g} degrees from the estimate "
-                f"then (median), {given:.3g} as read; put them into the order of the format"
-            )
-    for where, turns, what in (
-        ("camera", truth.inv() * estimate, "it is of another body of the rig, or of other axes; give the camera's"),
-        ("world", estimate * truth.inv(), "it is of another world; align it (--align se3)"),
+    first, last = (Rotation.from_quat(np.roll(quats, by, axis=1), scalar_first=True) for by in (-1, 1))
+    for seeming, rotations, mend in (
+        ("its quaternions seem to be in the order w x y z", first, "reorder them"),
+        ("its quaternions seem to be in the order x y z w", last, "reorder them"),
+        ("its poses seem to be world-to-camera", truth.inv(), "invert them"),
     ):
-        offset = turns.mean()
-        mended = median_deg(offset.inv() * turns)
+        mended = median_deg(rotations.inv() * estimate)
         if mended < _MENDED * given:
-            return (
-                f"its orientations differ by a constant rotation of {np.degrees(offset.magnitude()):.0f} degrees in "
-                f"the frame of the {where}, {mended:.2g} degrees are left (median): {what}"
-            )
-    return ""
+            return f"{seeming}: {mended:.2g} degrees from the estimate then (median), {given:.3g} as read; {mend}"
+    causes = {
+        "camera": (truth.inv() * estimate, "it is of another body of the rig, or of other axes; give the camera's"),
+        "world": (estimate * truth.inv(), "it is of another world; align it (--align se3)"),
+    }
+    left = {where: median_deg(turns.mean().inv() * turns) for where, (turns, _) in causes.items()}
+    where = min(left, key=lambda frame: left[frame])
+    if left[where] >= min(_MENDED * given, _WRONG_DEG):
+        return ""
+    turns, what = causes[where]
+    return (
+        f"its orientations differ by a constant rotation of {np.degrees(turns.mean().magnitude()):.0f} degrees in "
+        f"the frame of the {where}, {left[where]:.2g} degrees are left (median): {what}"
+    )
 
 
 def _doubt_body(turns: Rotation, estimate: Trajectory, truth: Trajectory) -> str:
