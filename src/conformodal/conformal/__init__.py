@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .calibrators.cross import CrossConformal
     from .calibrators.drift import DriftMonitor
     from .calibrators.mondrian import MondrianConformal
-    from .calibrators.online import Aci, ConformalPid, OnlineConformal
+    from .calibrators.online import Aci, OnlineConformal
     from .calibrators.weighted import WeightedConformal
     from .density.named import QuickDensity, StackedDensity
     from .diagnosis import Diagnosis, diagnose
@@ -39,7 +39,7 @@ _LATE = {  # a camera needs none of these, and scikit-learn takes half a second 
     ".calibrators.cross": ("CrossConformal",),
     ".calibrators.drift": ("DriftMonitor",),
     ".calibrators.mondrian": ("MondrianConformal",),
-    ".calibrators.online": ("Aci", "ConformalPid", "OnlineConformal"),
+    ".calibrators.online": ("Aci", "OnlineConformal"),
     ".calibrators.weighted": ("WeightedConformal",),
     ".density.named": ("QuickDensity", "StackedDensity"),
     ".diagnosis": ("Diagnosis", "diagnose"),
@@ -51,7 +51,7 @@ _LATE = {  # a camera needs none of these, and scikit-learn takes half a second 
 __getattr__ = lazy_getattr(__name__, {name: module for module, names in _LATE.items() for name in names})
 
 __all__ = [
-    "Aci", "Aps", "ConditionalConformal", "ConformalPid", "ConformalRegressor", "ConformodalError", "CoverageCheck",
+    "Aci", "Aps", "ConditionalConformal", "ConformalRegressor", "ConformodalError", "CoverageCheck",
     "CrossConformal", "DataWarning", "Density", "Diagnosis", "DriftMonitor", "Lac", "MaxIntervals", "MondrianConformal",
     "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
     "Regions", "Score", "SplitConformal", "StackedDensity", "WeightedConformal", "check_coverage", "conformal_quantile",
