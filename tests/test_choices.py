@@ -5,9 +5,9 @@ import pytest
 
 from conformodal.conformal import ConformodalError
 from conformodal.geometry import Trajectory, align
-from conformodal.io import Split, SplitKind, make_split, read_recording
+from conformodal.io import Split, make_split, read_recording
 from conformodal.io.streams import open_stream
-from conformodal.pipeline.config import Calibration, Method, ModelConfig
+from conformodal.pipeline.config import ModelConfig
 
 ROWS = np.arange(4)
 STILL = Trajectory([0.0, 1.0, 2.0], np.zeros((3, 3)), np.tile([1.0, 0, 0, 0], (3, 1)))
@@ -35,15 +35,3 @@ def test_a_value_that_is_not_a_member_is_refused_where_it_enters(enter, argument
     assert argument in message
     assert repr(wrong) in message
     assert "\n" not in message
-
-
-FIELDS = [
-    (Split("recordings", **PARTS), "kind", SplitKind.RECORDINGS),
-    (ModelConfig(method="conformodal"), "method", Method.CONFORMODAL),
-    (ModelConfig(calibrate_on="stretches"), "calibrate_on", Calibration.STRETCHES),
-]
-
-
-@pytest.mark.parametrize(("thing", "name", "member"), FIELDS)
-def test_text_becomes_the_member_that_code_compares_with(thing, name, member):
-    assert getattr(thing, name) is member

@@ -27,7 +27,7 @@ def test_corners_of_a_shifted_image_are_shifted(detector):
     image = load_sample_image("china.jpg")
     here = extract_local_features(image[:400, :600], camera(600, 400), detector)
     there = extract_local_features(image[7:407, 12:612], camera(600, 400), detector)
-    pairs = match(here.descriptors, there.descriptors)
+    (pairs,) = match(here.descriptors, [there.descriptors])
     assert len(pairs) > 100
     off = here.pixels[pairs[:, 0]] - there.pixels[pairs[:, 1]] - (12, 7)
     most = {"orb": 2, "xfeat": 8}[detector.name]  # XFeat describes cells of eight pixels
@@ -38,12 +38,9 @@ def test_corners_of_a_shifted_image_are_shifted(detector):
 def test_small_images_are_enlarged_and_corners_stay_where_they_are():
     large = texture(320, 240)
     small = np.asarray(cv2.resize(large, (160, 120), interpolation=cv2.INTER_AREA))
-    pairs = match(
-        extract_local_features(large, camera(320, 240)).descriptors,
-        extract_local_features(small, camera(160, 120)).descriptors,
-    )
-    a = extract_local_features(large, camera(320, 240)).pixels[pairs[:, 0]]
-    b = extract_local_features(small, camera(160, 120)).pixels[pairs[:, 1]]
+    one, other = extract_local_features(large, camera(320, 240)), extract_local_features(small, camera(160, 120))
+    (pairs,) = match(one.descriptors, [other.descriptors])
+    a, b = one.pixels[pairs[:, 0]], other.pixels[pairs[:, 1]]
     off = b - ((a + 0.5) / 2 - 0.5)  # the centre of the first pixel is 0 in both
     assert len(off) > 20
     np.testing.assert_allclose(np.median(off, axis=0), 0, atol=0.15)
@@ -65,7 +62,7 @@ def test_a_blank_image_has_no_corners(detector):
     assert blank.descriptors.shape == detector.nothing.descriptors.shape
     assert blank.descriptors.dtype == detector.nothing.descriptors.dtype
     np.testing.assert_array_equal(blank.global_descriptor, 0)
-    assert match(blank.descriptors, blank.descriptors).shape == (0, 2)
+    assert [len(pairs) for pairs in match(blank.descriptors, [blank.descriptors] * 2)] == [0, 0]
 
 
 def test_matches_are_those_of_the_definition():
@@ -82,7 +79,9 @@ def test_matches_are_those_of_the_definition():
         if first[i] < 0.85 * second[i]:
             found.setdefault(int(distances[i].argmin()), int(i))
     assert 20 < len(found) < 70
-    assert {int(j): int(i) for i, j in match(some, others)} == found
+    alone, beside = match(some, [others])[0], match(some, [some[:30], others])[1]
+    assert {int(j): int(i) for i, j in alone} == found
+    np.testing.assert_array_equal(beside, alone)
 
 
 def test_directions_match_that_are_nearest_to_each_other_and_alike_enough():
@@ -95,4 +94,4 @@ def test_directions_match_that_are_nearest_to_each_other_and_alike_enough():
     as_bytes = [np.clip(np.rint(254 * rows), -127, 127).astype(np.int8) for rows in (some, others)]
     expected = set(zip(*np.nonzero(mutual), strict=True))
     assert 10 < len(expected) < 50
-    assert len(expected ^ set(map(tuple, match(*as_bytes).tolist()))) <= 2  # rounding to bytes
+    assert len(expected ^ set(map(tuple, match(as_bytes[0], as_bytes[1:])[0].tolist()))) <= 2  # rounding to bytes

@@ -3,10 +3,10 @@ import numpy as np
 import pytest
 
 from conformodal.features.local import ORB
-from conformodal.geometry import PinholeCamera
+from conformodal.geometry import MotionStatus, PinholeCamera
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import ImageError
-from conformodal.tracking.motions import frame_features
+from conformodal.tracking.motions import frame_features, look_through
 from conformodal.tracking.tracker import MotionFrontEnd, affine_flow
 
 W, H = 320, 240
@@ -48,19 +48,27 @@ def flows_of_a_run(pan, every):
     return flows
 
 
-def test_the_flow_is_right_where_corners_are_renewed_between_answers():
-    flows = flows_of_a_run(Pan(11, px=60), 5)
-    for i in (5, 10):
-        assert middle(flows[i]) == pytest.approx([-60 * HZ, 0], abs=30)
-
-
 @pytest.mark.parametrize("every", [1, 4, 10])
 def test_runs_have_the_flow_that_training_has(every):
     pan = Pan(21, px=8, unreadable=(7, *range(11, 20)))
     for i, flow in flows_of_a_run(pan, every).items():
         expected = [-8 * HZ if 0 < i < 20 else 0, 0]  # the last frame that can be read before 20 is 0.33 s ago
+        after_a_gap = i - 1 in pan.unreadable  # training does without the flow there
         for one in (flow, frame_features(pan, i, ORB).flow):
-            assert middle(one) == pytest.approx(expected, abs=4), i
+            assert middle(one) == pytest.approx([0, 0] if after_a_gap and one is not flow else expected, abs=4), i
+
+
+def test_one_look_gives_features_and_motions_of_all_frames_though_it_is_cut_into_segments(monkeypatch):
+    pan, frames = Pan(21, px=8), np.array([2, 3, 5, 6, 9, 12, 13, 20])
+    whole = look_through(pan, frames, ORB)
+    monkeypatch.setattr("conformodal.tracking.motions._SEGMENT", 3)
+    cut = look_through(pan, frames, ORB)
+    for looks in (whole, cut):
+        assert set(frames) == looks.features.keys() <= looks.motions.keys()
+        for i in frames.tolist():
+            assert middle(looks.features[i].flow) == pytest.approx([-8 * HZ, 0], abs=4), i
+    for i in frames[1:].tolist():
+        assert whole.motions[i].status == cut.motions[i].status != MotionStatus.TOO_FEW, i
 
 
 LENS = PinholeCamera(500, 500, 320, 240, 640, 480)

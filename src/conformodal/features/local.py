@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Self, TypeAlias
 
@@ -188,22 +189,27 @@ def extract_local_features(image: UInt8Array, camera: PinholeCamera, detector: D
     return LocalFeatures(camera.undistort(corners.pixels), corners.descriptors, thumbnail(grey), image_quality(grey))
 
 
-def match(descriptors: Descriptors, others: Descriptors) -> IntArray:
-    """Matches (m, 2) between rows of two sets of descriptors, each row in one match at most.
+def match(descriptors: Descriptors, others: Sequence[Descriptors]) -> list[IntArray]:
+    """Matches (m, 2) between the rows of descriptors and those of each of other sets, each row in one at most.
 
     Bits: the nearest, clearly nearer than the second. Directions: the nearest to each other, if they are alike enough.
     """
-    if len(descriptors) == 0 or len(others) < 2:
+    numbers, greatest = _numbers(descriptors), _greatest(descriptors)
+    # set by set: products with all of them would be too large for the processor's cache
+    return [_of_one(np.matmul(numbers, _numbers(each).T), descriptors.dtype == np.int8, greatest) for each in others]
+
+
+def _of_one(alike: Float32Array, directed: bool, greatest: float) -> IntArray:
+    """Matches (m, 2) from similarities (n, k), which are overwritten."""
+    if len(alike) == 0 or alike.shape[1] < 2:
         return np.empty((0, 2), np.int64)
-    alike = _unit_rows(descriptors) @ _unit_rows(others).T
-    every = np.arange(len(alike))
-    nearest = alike.argmax(axis=1)
+    every, nearest = np.arange(len(alike)), alike.argmax(axis=1)
     first = alike[every, nearest]
-    if descriptors.dtype == np.int8:
-        rows = np.flatnonzero((first >= _LEAST_COSINE) & (first == alike.max(axis=0)[nearest]))
+    if directed:
+        rows = np.flatnonzero((first >= _LEAST_COSINE * greatest) & (first == alike.max(axis=0)[nearest]))
     else:
         alike[every, nearest] = -np.inf
-        rows = np.flatnonzero(1 - first < _RATIO * (1 - alike.max(axis=1)))
+        rows = np.flatnonzero(greatest - first < _RATIO * (greatest - alike.max(axis=1)))
     rows = rows[np.argsort(-first[rows], kind="stable")]
     _, best = np.unique(nearest[rows], return_index=True)
     rows = rows[best]
@@ -212,8 +218,12 @@ def match(descriptors: Descriptors, others: Descriptors) -> IntArray:
 
 def alike_enough(descriptors: Descriptors, others: Descriptors) -> tuple[Float32Array, BoolArray]:
     """Similarity (n,) of rows one by one, and whether it is enough where a pose says that they match."""
-    alike = np.einsum("ij,ij->i", _unit_rows(descriptors), _unit_rows(others))
-    return alike, alike > (_GUIDED_COSINE if descriptors.dtype == np.int8 else _GUIDED_BITS)
+    if descriptors.dtype == np.int8:
+        alike = np.einsum("ij,ij->i", _numbers(descriptors), _numbers(others)) / np.float32(_greatest(descriptors))
+        return alike, alike > _GUIDED_COSINE
+    differing = np.unpackbits(descriptors.view(np.uint8) ^ others.view(np.uint8), axis=1).sum(axis=1, dtype=np.float32)
+    alike = 1 - 2 * differing / np.float32(_greatest(descriptors))
+    return alike, alike > _GUIDED_BITS
 
 
 class Matcher:
@@ -222,20 +232,28 @@ class Matcher:
     def __init__(self) -> None:
         self._cached: dict[tuple[int, int], tuple[LocalFeatures, LocalFeatures, IntArray]] = {}
 
-    def __call__(self, one: LocalFeatures, other: LocalFeatures) -> IntArray:
-        """Matches (m, 2) of the descriptors of two images, see :func:`match`."""
-        key = id(one), id(other)  # unique, since the cache holds both images
-        if key not in self._cached:
-            self._cached[key] = one, other, match(one.descriptors, other.descriptors)
-        return self._cached[key][2]
+    def __call__(self, one: LocalFeatures, others: Sequence[LocalFeatures]) -> list[IntArray]:
+        """Matches (m, 2) of the descriptors of an image and of each of other images, see :func:`match`."""
+        missing = [other for other in others if (id(one), id(other)) not in self._cached]
+        matches = match(one.descriptors, [other.descriptors for other in missing])
+        for other, pairs in zip(missing, matches, strict=True):
+            self._cached[id(one), id(other)] = one, other, pairs  # ids are unique, since the cache holds both images
+        return [self._cached[id(one), id(other)][2] for other in others]
 
 
-def _unit_rows(descriptors: Descriptors) -> Float32Array:
-    """Rows whose product is the similarity: cosine of directions, and 1 - 2 * share of bits that differ."""
+def _numbers(descriptors: Descriptors) -> Float32Array:
+    """Rows whose product is the similarity, exact in single precision: directions, and 1 or -1 for each bit."""
     if descriptors.dtype == np.int8:
-        return descriptors.astype(np.float32) / np.float32(_UNIT)
-    bits = np.unpackbits(descriptors.view(np.uint8), axis=1)
-    return (bits.astype(np.float32) - np.float32(0.5)) * np.float32(2 / np.sqrt(bits.shape[1]))
+        return descriptors.astype(np.float32)
+    bits = np.unpackbits(descriptors.view(np.uint8), axis=1).astype(np.float32)
+    bits *= 2
+    bits -= 1
+    return bits
+
+
+def _greatest(descriptors: Descriptors) -> float:
+    """The similarity of equal rows."""
+    return _UNIT**2 if descriptors.dtype == np.int8 else 8.0 * descriptors.shape[1]
 
 
 def image_quality(grey: UInt8Array) -> FloatArray:

@@ -10,6 +10,9 @@ from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
 MIN_PARALLAX_RAD = float(np.radians(2.5))
 _ITERATIONS = 4
+# the upper triangle of a symmetric matrix, row by row; where it lies on the diagonal, and where each entry comes from
+_ROWS, _COLUMNS = np.triu_indices(3)
+_DIAGONAL, _SYMMETRIC = [0, 3, 5], np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 _DOUBT = 0.4  # share of the tolerance above which residuals are downweighted
 
 
@@ -53,22 +56,23 @@ def triangulate(rays: Rays, tolerance: float) -> Points:
     origin = nearest_kilometres(rays.centres)
     R, centres = rays.R_world_cam[rays.camera], (rays.centres - origin)[rays.camera]
     local, first = np.column_stack((rays.plane, np.ones(len(rays.plane)))), rays.first
+    world = (R @ local[:, :, None])[:, :, 0]
     xyz, reliable = np.full((len(first), 3), np.nan), np.zeros(len(first), dtype=np.bool_)
-    kept = _off_epipolar(local, R, centres, first[rays.corner]) < tolerance
+    kept = _off_epipolar(world, R, centres, first[rays.corner]) < tolerance
     kept &= (np.bincount(rays.corner[kept], minlength=len(first)) > 1)[rays.corner]
     if not kept.any():
         return Points(xyz, reliable)
     corners, starts, corner = np.unique(rays.corner[kept], return_index=True, return_inverse=True)
-    centres = centres[kept]
-    world = np.einsum("mab,mb->ma", R[kept], local[kept])
+    centres, world = centres[kept], world[kept]
     world /= np.linalg.norm(world, axis=1, keepdims=True)
-    onto = np.eye(3) - world[:, :, None] * world[:, None]  # the plane across a ray
-    across = centres - world * (world * centres).sum(axis=1, keepdims=True)
+    # the plane across a ray, as the upper triangle of a matrix, and the centre's part in it
+    equations = np.column_stack((-world[:, _ROWS] * world[:, _COLUMNS], centres))
+    equations[:, _DIAGONAL] += 1
+    equations[:, 6:] -= world * (world * centres).sum(axis=1, keepdims=True)
     weights = np.ones(len(world))
     for _ in range(_ITERATIONS):
-        matrix = np.add.reduceat(weights[:, None, None] * onto, starts) + 1e-9 * np.eye(3)
-        right = np.add.reduceat(weights[:, None] * across, starts)
-        points = np.linalg.solve(matrix, right[..., None])[..., 0]
+        sums = np.add.reduceat(weights[:, None] * equations, starts)
+        points = np.linalg.solve(sums[:, _SYMMETRIC] + 1e-9 * np.eye(3), sums[:, 6:, None])[..., 0]
         apart = points[corner] - centres
         square, along = np.maximum((apart**2).sum(axis=1), 1e-12), (apart * world).sum(axis=1)
         off = np.sqrt(np.maximum(square - along**2, 0) / square)
@@ -81,9 +85,11 @@ def triangulate(rays: Rays, tolerance: float) -> Points:
     return Points(xyz, reliable)
 
 
-def _off_epipolar(local: FloatArray, R_world_cam: FloatArray, centres: FloatArray, first: IntArray) -> FloatArray:
-    """Distances (m,) of rays from the epipolar line of their corner's `first` (m,) ray, on the plane at depth 1."""
-    baseline = np.einsum("mba,mb->ma", R_world_cam, centres[first] - centres)
-    turned = np.einsum("mba,mb->ma", R_world_cam, np.einsum("mab,mb->ma", R_world_cam[first], local[first]))
-    line = np.cross(baseline, turned)
-    return np.asarray(np.abs((line * local).sum(axis=1)) / np.maximum(np.linalg.norm(line[:, :2], axis=1), 1e-12))
+def _off_epipolar(world: FloatArray, R_world_cam: FloatArray, centres: FloatArray, first: IntArray) -> FloatArray:
+    """Distances (m,) of rays from the epipolar line of their corner's `first` (m,) ray, on the plane at depth 1.
+
+    `world` (m, 3) are rays in the world that reach this plane.
+    """
+    normal = np.cross(centres[first] - centres, world[first])
+    line = np.einsum("mba,mb->ma", R_world_cam[:, :, :2], normal)
+    return np.asarray(np.abs((normal * world).sum(axis=1)) / np.maximum(np.linalg.norm(line, axis=1), 1e-12))

@@ -136,30 +136,18 @@ class BinRuns:
     log_mass: FloatArray  # (m,) logarithm of the probability
 
 
-def _mean(weights: FloatArray, edges: FloatArray, first: int = 0) -> tuple[FloatArray, FloatArray]:
-    """Mean and spread of weights over bins ``first, first + 1, ...`` (last axis), in the target's unit."""
-    at = np.arange(first, first + weights.shape[-1]) + 0.5
-    total = weights.sum(axis=-1)
-    mean = (weights * at).sum(axis=-1) / total
-    # the width of the peak, not of its tails: squared weights of a Gaussian are a Gaussian, narrower by sqrt(2)
-    sharp = weights**2
-    centre = (sharp * at).sum(axis=-1) / sharp.sum(axis=-1)
-    spread = np.sqrt(2 * (sharp * (at - centre[..., None]) ** 2).sum(axis=-1) / sharp.sum(axis=-1) + 1 / 12)
-    grid = np.arange(edges.size)
-    low, high = np.interp(mean - spread, grid, edges), np.interp(mean + spread, grid, edges)
-    return np.interp(mean, grid, edges), np.maximum((high - low) / 2, 1e-9)
-
-
 def _described(p: FloatArray, runs: list[tuple[int, int]], edges: FloatArray) -> BinRuns:
     """Means, spreads and masses of runs of bins ``first, ..., last - 1`` with probabilities `p`."""
-    means, spreads, masses = [], [], []
-    for a, b in runs:
-        weights = p[a:b] + 1e-12
-        mean, spread = _mean(weights, edges, a)
-        means.append(float(mean))
-        spreads.append(float(spread))
-        masses.append(float(weights.sum()))
-    return BinRuns(np.array(means), np.array(spreads), np.log(masses))
+    ends, bins, grid = np.array(runs), np.append(np.arange(len(p)) + 0.5, 0.0), np.arange(edges.size)
+    weights = np.append(p + 1e-12, 0.0)  # so that a run may end with the last bin
+    # the width of the peak, not of its tails: squared weights of a Gaussian are a Gaussian, narrower by sqrt(2)
+    sharp = weights**2
+    moments = np.stack((weights, weights * bins, sharp, sharp * bins, sharp * bins**2))
+    mass, first, sharp_mass, sharp_first, sharp_second = np.add.reduceat(moments, ends.ravel(), axis=1)[:, ::2]
+    mean, centre = first / mass, sharp_first / sharp_mass
+    spread = np.sqrt(2 * np.maximum(sharp_second / sharp_mass - centre**2, 0) + 1 / 12)
+    low, at, high = np.interp((mean - spread, mean, mean + spread), grid, edges)
+    return BinRuns(at, np.maximum((high - low) / 2, 1e-9), np.log(mass))
 
 
 def _basins(p: FloatArray) -> list[tuple[int, int]]:

@@ -19,7 +19,7 @@ from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import fit_motion_prior
 from conformodal.localizer.regions import PlaceNovelty
-from conformodal.tracking.motions import measure_motions
+from conformodal.localizer.sources.registry import find_source
 
 from .calibrate import (
     CalibratedRegions,
@@ -32,7 +32,7 @@ from .calibrate import (
 from .config import Method, ModelConfig, OdometryError
 from .identity import identify
 from .model import ExpectedInput, PathRule, PoseModel
-from .training_data import Folds, TrainingData, make_folds
+from .training_data import TrainingData, make_folds
 
 
 def prepare_training_data(
@@ -99,9 +99,12 @@ def train_model(
     parts = [fold.train for fold in folds.folds]
     if len(parts) > 1 or not np.array_equal(parts[0], folds.region_frames):
         parts.append(folds.region_frames)
-    (*localizers, localizer), (motions, known_frames) = side_by_side(
-        lambda: Localizer.fit_each(sources, parts, config.sources),
-        lambda: (_held_out_motions(data.sequence, folds, config, progress), identify(data.sequence)),
+    motions: dict[int, RelativeMotion | None] = {}
+    local = any(find_source(name).local for name in config.sources)
+    if config.method is not Method.PAPER and (local or folds.units is not None):
+        motions = sources.look_through(np.union1d(folds.region_frames, folds.held_out), local=local)
+    (*localizers, localizer), known_frames = side_by_side(
+        lambda: Localizer.fit_each(sources, parts, config.sources), lambda: identify(data.sequence)
     )
     localizers, train = localizers or [localizer], data.split.train
     prior = fit_motion_prior(data.sequence.require_truth()[train], data.sequence.recording[train])
@@ -138,11 +141,3 @@ def train_model(
         quality=regions.quality,
         detector=data.detector,
     )
-
-
-def _held_out_motions(
-    sequence: Recording, folds: Folds, config: ModelConfig, progress: StageProgress | None
-) -> dict[int, RelativeMotion | None]:
-    if config.method is Method.PAPER or folds.units is None:
-        return {}
-    return measure_motions(sequence, np.sort(folds.held_out), progress)

@@ -2,60 +2,67 @@
 
 from __future__ import annotations
 
-from conformodal.core.arrays import FloatArray, IntArray, UInt8Array
-from conformodal.core.parallel import raise_if_cancelled
-from conformodal.core.progress import StageProgress
+from typing import NamedTuple
+
+import numpy as np
+
+from conformodal.core.arrays import IntArray
+from conformodal.core.parallel import in_threads, raise_if_cancelled
+from conformodal.core.progress import Progress
 from conformodal.features.local import Detector, LocalFeatures, extract_local_features
 from conformodal.geometry import RelativeMotion
-from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import ImageError, Recording
 from conformodal.io.decoding import grey_image
 
-from .tracker import LONGEST_FLOW_S, CornerTracker, MotionFrontEnd, affine_flow
+from .tracker import MotionFrontEnd, affine_flow
+
+_SEGMENT = 100  # frames that are looked at one after the other; the last of a segment leads in to the next
 
 
-def measure_motions(
-    sequence: Recording, frames: IntArray, progress: StageProgress | None = None
-) -> dict[int, RelativeMotion | None]:
-    """Motion to each of `frames`, increasing indices in a sequence, from the one before; None where there is none.
+class FrameLooks(NamedTuple):
+    """What one look at frames tells, by their indices."""
 
-    Corners are followed through all frames between them.
-    """
-    answer, front_end, recording = set(frames.tolist()), MotionFrontEnd(sequence.camera), None
-    motions: dict[int, RelativeMotion | None] = {}
-    span = range(int(frames.min()), int(frames.max()) + 1) if frames.size else range(0)
-    for done, i in enumerate(span, start=1):
-        raise_if_cancelled()
-        if sequence.recording[i] != recording:
-            front_end.reset()
-            recording = sequence.recording[i]
-        if i in answer:
-            motions[i] = front_end.measure(sequence.image(i))
-        else:
-            front_end.track_only(sequence.image(i))
-        if progress is not None:
-            progress("motion", done, len(span))
-    return motions
+    motions: dict[int, RelativeMotion | None]  # from the frame before, among those looked at; None where there is none
+    features: dict[int, LocalFeatures]  # with their flow; empty without a detector
 
 
-def _flow_of(sequence: Recording, i: int, image: UInt8Array) -> FloatArray:
-    """The flow (2, 3) in a frame of a sequence, its `image`, from the last frame before it that can be read."""
-    for before in range(i - 1, -1, -1):
-        seconds = float(sequence.timestamps_s[i] - sequence.timestamps_s[before])
-        if not 0 < seconds < LONGEST_FLOW_S or sequence.recording[i] != sequence.recording[before]:
-            break
-        tracker = CornerTracker()
-        try:
-            tracker.advance(grey_image(sequence.image(before)))
-        except ImageError:
-            continue
-        tracker.mark()
-        tracker.advance(grey_image(image))
-        return affine_flow(tracker.step, seconds, sequence.camera)
-    return NO_FLOW
+def look_through(
+    sequence: Recording, frames: IntArray, detector: Detector | None, progress: Progress | None = None
+) -> FrameLooks:
+    """Look once at each of `frames`, increasing indices in a sequence, and follow corners through all between them."""
+
+    def look_at(rows: IntArray) -> FrameLooks:
+        looks, front_end, before = FrameLooks({}, {}), MotionFrontEnd(sequence.camera), -1
+        start = int(frames[rows[0] - 1]) if rows[0] else max(int(frames[0]) - 1, 0)
+        for i in range(start, int(frames[rows[-1]]) + 1):
+            raise_if_cancelled()
+            if before >= 0 and sequence.recording[i] != sequence.recording[before]:
+                front_end.reset()
+                before = -1
+            try:
+                grey = grey_image(sequence.image(i))
+            except ImageError:
+                if i in wanted:
+                    raise
+                continue
+            if i in wanted or before < 0:
+                looks.motions[i] = front_end.measure(grey)
+            else:
+                front_end.track_only(grey)
+            if i in wanted and detector is not None:
+                seconds = float(sequence.timestamps_s[i] - sequence.timestamps_s[before]) if before >= 0 else 0.0
+                flow = affine_flow(front_end.tracker.step, seconds, sequence.camera)
+                looks.features[i] = extract_local_features(grey, sequence.camera, detector)._replace(flow=flow)
+            before = i
+        return looks
+
+    wanted = set(frames.tolist())
+    segments = [np.arange(len(frames))[k : k + _SEGMENT] for k in range(0, len(frames), _SEGMENT)]
+    looks = in_threads(look_at, segments, progress)[::-1]  # what leads in to a segment is of the one before
+    motions = {i: motion for look in looks for i, motion in look.motions.items()}
+    return FrameLooks(motions, {i: features for look in looks for i, features in look.features.items()})
 
 
 def frame_features(sequence: Recording, i: int, detector: Detector) -> LocalFeatures:
-    """Local features of a frame of a sequence, with its flow."""
-    image = sequence.image(i)
-    return extract_local_features(image, sequence.camera, detector)._replace(flow=_flow_of(sequence, i, image))
+    """Local features of a frame of a sequence, with its flow from the frame before."""
+    return look_through(sequence, np.array([i]), detector).features[i]

@@ -124,8 +124,7 @@ class LandmarkMap:
         estimates: list[PoseMeasurement] = []
         guided: list[FloatArray] = []  # the poses of those that all keyframes near them support
         for near in self._retrieve(image.global_descriptor, shown):
-            first = self._matched(image, near[:1], matches)
-            if any(self._agree(first, image, T_world_cam) for T_world_cam in guided):
+            if any(self._agree(self._matched(image, near[:1], matches), image, pose) for pose in guided):
                 continue
             solution = self._solve(image, self._matched(image, near, matches), shown)
             estimate = None if solution is None else self._measured(image, solution, shown)
@@ -137,10 +136,10 @@ class LandmarkMap:
 
     def _matched(self, image: LocalFeatures, frames: IntArray, matches: dict[int, IntArray]) -> IntArray:
         """Corners of an image and landmarks of some keyframes (m, 2) that match."""
-        for frame in frames.tolist():
-            if frame not in matches:
-                pairs = match(image.descriptors, self.descriptors[self.starts[frame] : self.starts[frame + 1]])
-                matches[frame] = np.add(pairs, (0, self.starts[frame]))
+        missing = [frame for frame in frames.tolist() if frame not in matches]
+        landmarks = [self.descriptors[self.starts[frame] : self.starts[frame + 1]] for frame in missing]
+        for frame, pairs in zip(missing, match(image.descriptors, landmarks), strict=True):
+            matches[frame] = np.add(pairs, (0, self.starts[frame]))
         return np.concatenate([matches[frame] for frame in frames.tolist()])
 
     def _agree(self, pairs: IntArray, image: LocalFeatures, T_world_cam: FloatArray) -> bool:
@@ -168,12 +167,12 @@ class LandmarkMap:
     def _spread(self, order: IntArray, most: int) -> IntArray:
         """The first keyframes in an order that differ from each other: nearly the same view says the same again."""
         chosen: list[int] = []
-        for i in order.tolist():
-            if len(chosen) < most and (not chosen or self._apart(self.poses_se3[i], chosen).min() > _SPREAD):
-                chosen.append(i)
+        while order.size and len(chosen) < most:
+            chosen.append(int(order[0]))
+            order = order[self._apart(self.poses_se3[chosen[-1]], order) > _SPREAD]
         return np.array(chosen)
 
-    def _apart(self, T_world_pose: FloatArray, frames: list[int] | slice = slice(None)) -> FloatArray:
+    def _apart(self, T_world_pose: FloatArray, frames: IntArray | slice = slice(None)) -> FloatArray:
         """Distances of keyframes from a pose, in scene depths plus radians."""
         poses = self.poses_se3[frames]
         apart = np.linalg.norm(poses[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m

@@ -160,8 +160,12 @@ def _fit_errors(
         overlap = view_overlap(landmarks.poses_se3, i, landmarks.camera, landmarks.depth_m)
         hidings = [(group == group[i], 1.0) for group in groups]
         hidings += [(overlap > share, _HIDDEN_WEIGHT) for share in _HIDDEN_OVERLAPS]
+        estimates: dict[bytes, list[PoseMeasurement]] = {}  # pieces may be stretches
         for hidden, weight in hidings:
-            for one in landmarks.localize(features[i], hidden, matches=matches):
+            key = hidden.tobytes()
+            if key not in estimates:
+                estimates[key] = landmarks.localize(features[i], hidden, matches=matches)
+            for one in estimates[key]:
                 off = float(np.linalg.norm(one.position_xyz - truth.positions_xyz[i]))
                 angle = float(angle_between_quats(one.orientation_quat_wxyz, truth.orientations_quat_wxyz[i]))
                 predicted = (off, one.sigma_m, angle, one.sigma_rad, one.distance_to_known)

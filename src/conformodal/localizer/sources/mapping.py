@@ -25,9 +25,10 @@ from conformodal.geometry.map_poses import (
     choose_tracks,
     fit_camera,
 )
-from conformodal.geometry.triangulation import Rays, triangulate
+from conformodal.geometry.triangulation import Points, Rays, triangulate
 
 _MOST_LANDMARKS = 300  # of a frame
+_MOST_TRACKED = 200  # corners of a frame that are triangulated to adjust poses: those that most frames see
 _FRAMES_AT_A_TIME = 32  # that are triangulated
 _PARTNERS = 10  # frames in which a frame's corners are sought; pairs serve both
 _MOST_TURNED_RAD, _USUAL_TURN_RAD = float(np.radians(35.0)), float(np.radians(15.0))  # of partners
@@ -62,28 +63,27 @@ def triangulate_frames(
     before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
     chunks = [range(a, min(a + _FRAMES_AT_A_TIME, len(features))) for a in range(0, len(features), _FRAMES_AT_A_TIME)]
 
-    def triangulated(few: range, current: MapPoses) -> TriangulatedRays:
-        camera = current.mounted.camera
-        rays = _rays(few, pairs, features, current.poses_cam, camera, before)
-        points = triangulate(rays, 2 * _TOLERANCE_PX / (camera.fx + camera.fy))
-        return TriangulatedRays(rays, points)
+    def triangulated(few: range, current: MapPoses, most: int) -> TriangulatedRays:
+        rays = _rays(few, pairs, features, current, before, most)
+        return TriangulatedRays(rays, triangulate(rays, _tolerance(current)))
+
+    def landmarks(few: range) -> Points:
+        return triangulated(few, current, max(len(one.pixels) for one in features)).points
 
     sigmas = np.repeat([SIGMA_RAD, SIGMA_DEPTHS * depth_m], 3)
     current = MapPoses(mounted, poses_se3 @ mounted.T_pose_cam, sigmas)
     for _ in range(ROUNDS):
-        camera = current.mounted.camera
-        parts = in_threads(partial(triangulated, current=current), chunks)
-        tracks = choose_tracks(parts, len(features), 2 * _TOLERANCE_PX / (camera.fx + camera.fy))
+        parts = in_threads(partial(triangulated, current=current, most=_MOST_TRACKED), chunks)
+        tracks = choose_tracks(parts, len(features), _tolerance(current))
         if len(tracks.frame) < LEAST_PER_FRAME * len(features):
             break
         current = current.adjusted(poses_se3, tracks)
-    parts = in_threads(partial(triangulated, current=current), chunks)
-    points = np.concatenate([part.points.xyz for part in parts])
-    reliable = _first_of_frames(np.concatenate([part.points.reliable for part in parts]), before)
+    points = Points(*map(np.concatenate, zip(*in_threads(landmarks, chunks), strict=True)))
+    reliable = _first_of_frames(points.reliable, before)
     return TriangulatedFrames(
         mounted=current.mounted,
         starts=np.concatenate(([0], np.cumsum(reliable)))[before],
-        points_xyz=points[reliable].astype(np.float32),
+        points_xyz=points.xyz[reliable].astype(np.float32),
         descriptors=np.concatenate([one.descriptors for one in features])[reliable],
         corrections=current.corrections(poses_se3),
     )
@@ -140,7 +140,8 @@ def _matched(
             later[min(i, j)].add(max(i, j))
 
     def of(i: int) -> list[tuple[int, IntArray]]:
-        return [(j, matcher(features[i], features[j])) for j in sorted(later[i])]
+        others = sorted(later[i])
+        return list(zip(others, matcher(features[i], [features[j] for j in others]), strict=True))
 
     matched = in_threads(of, range(len(features)), progress)
     for i, pairs_of_frame in enumerate(list(map(list, matched))):
@@ -162,25 +163,42 @@ def _some_matches(features: Sequence[LocalFeatures], pairs: Sequence[Sequence[tu
     return Matches(np.concatenate(frames), np.concatenate(pixels), np.concatenate(flows))
 
 
+def _tolerance(current: MapPoses) -> float:
+    """Radians by which a ray may miss a landmark."""
+    camera = current.mounted.camera
+    return 2 * _TOLERANCE_PX / (camera.fx + camera.fy)
+
+
 def _rays(
     frames: range,
     pairs: Sequence[Sequence[tuple[int, IntArray]]],
     features: Sequence[LocalFeatures],
-    poses_cam: FloatArray,
-    camera: PinholeCamera,
+    current: MapPoses,
     numbers: IntArray,
+    most: int,
 ) -> Rays:
-    """Rays of the corners of some frames, numbered on from frame to frame; `numbers` are those of first corners."""
+    """Rays of the corners of some frames, at most so many a frame, those that most frames see.
+
+    `numbers` are those of first corners.
+    """
     corners, cameras, pixels, others, before = [], [], [], [], 0
     for i in frames:
-        views = [(i, np.tile(np.arange(len(features[i].pixels))[:, None], 2)), *pairs[i]]
-        corners += [before + pair[:, 0] for _, pair in views]
-        cameras += [np.full(len(pair), j) for j, pair in views]
-        pixels += [features[j].pixels[pair[:, 1]] for j, pair in views]
-        others += [numbers[j] + pair[:, 1] for j, pair in views]
-        before += len(features[i].pixels)
+        n = len(features[i].pixels)
+        views = [(i, np.tile(np.arange(n)[:, None], 2)), *pairs[i]]
+        corner = np.concatenate([pair[:, 0] for _, pair in views])
+        often = np.argsort(-np.bincount(corner, minlength=n), kind="stable")[:most]
+        place = np.full(n, -1)
+        place[np.sort(often)] = before + np.arange(len(often))
+        before += len(often)
+        for j, every in views:
+            pair = every[place[every[:, 0]] >= 0]
+            corners.append(place[pair[:, 0]])
+            cameras.append(np.full(len(pair), j))
+            pixels.append(features[j].pixels[pair[:, 1]])
+            others.append(numbers[j] + pair[:, 1])
     corner = np.concatenate(corners)
     order = np.argsort(corner, kind="stable")  # the corner's own frame stays first
-    plane, camera_of = camera.on_plane(np.concatenate(pixels)[order]), np.concatenate(cameras)[order]
-    seen_corner = np.concatenate(others)[order]
-    return Rays(corner[order], seen_corner, camera_of, plane, poses_cam[:, :3, :3], poses_cam[:, :3, 3])
+    plane = current.mounted.camera.on_plane(np.concatenate(pixels)[order])
+    camera_of, ray_number = np.concatenate(cameras)[order], np.concatenate(others)[order]
+    poses_cam = current.poses_cam
+    return Rays(corner[order], ray_number, camera_of, plane, poses_cam[:, :3, :3], poses_cam[:, :3, 3])

@@ -24,10 +24,11 @@ from conformodal.features.backbone import at_unit_length, coarse_features, featu
 from conformodal.features.head import Projection, fit_projection
 from conformodal.features.local import ORB, Detector, LocalFeatures, Matcher
 from conformodal.features.settings import TrainingConfig
+from conformodal.geometry import RelativeMotion
 from conformodal.io import Recording, SplitKind, held_out_together
 from conformodal.localizer import LocalizationError
 from conformodal.localizer.evidence import FrameEvidence, PoseMeasurement
-from conformodal.tracking.motions import frame_features
+from conformodal.tracking.motions import frame_features, look_through
 
 
 @dataclass(eq=False)
@@ -76,17 +77,27 @@ class SourceData:
             self._projections[key] = fit_projection(self.features[frames], components, view)
         return self._projections[key]
 
+    def look_through(self, frames: IntArray, *, local: bool) -> dict[int, RelativeMotion | None]:
+        """Motion to each of some frames from the one before; with `local`, their local features are cached as well."""
+        report = stage_of(self.progress, "frames")
+        looks = look_through(self.sequence, frames, self.detector if local else None, report)
+        self._cache(list(looks.features), list(looks.features.values()))
+        return looks.motions
+
     def local_features(self, frames: IntArray) -> list[LocalFeatures]:
         """Local features of some frames, cached."""
         report = stage_of(self.progress, "local features")
         with self._extracting:  # sources that learn at the same time share them
             missing = [i for i in frames.tolist() if i not in self._local_features]
-            extracted = in_threads(partial(frame_features, self.sequence, detector=self.detector), missing, report)
-            if missing and self.grid is not None:
-                maps = at_unit_length(coarse_features(self.features[missing], self.grid))
-                extracted = [one._replace(global_descriptor=row) for one, row in zip(extracted, maps, strict=True)]
-            self._local_features.update(zip(missing, extracted, strict=True))
+            extract = partial(frame_features, self.sequence, detector=self.detector)
+            self._cache(missing, in_threads(extract, missing, report))
         return [self._local_features[i] for i in frames.tolist()]
+
+    def _cache(self, frames: Sequence[int], features: Sequence[LocalFeatures]) -> None:
+        if frames and self.grid is not None:
+            maps = at_unit_length(coarse_features(self.features[frames], self.grid))
+            features = [one._replace(global_descriptor=row) for one, row in zip(features, maps, strict=True)]
+        self._local_features.update(zip(frames, features, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
