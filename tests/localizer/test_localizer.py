@@ -92,9 +92,12 @@ def test_one_softmax_is_taken_as_it_is_and_of_several_the_mean(bins):
         np.testing.assert_allclose(p, (q + r) / 2, rtol=1e-15)
 
 
-def test_only_sources_that_look_at_local_features_recognise_places(bins):
-    everywhere = told(measurements=[[estimate(2.0, 0.99)], [estimate(2.0, 0.99)]])
+def test_only_sources_that_look_at_local_features_recognise_places_and_others_are_not_asked_there(bins):
+    everywhere = told(measurements=[[estimate(2.0, 0.99)]], proba=softmax(bins, 1))
     local = told(Local, measurements=[[], [estimate(4.0, 0.95), estimate(5.0, 0.2)]])
     found = Localizer((everywhere, local), bins, SIGN).beliefs(images(2))
     assert [[one.position_xyz[0] for one in its] for its in found.estimates] == [[], [4.0, 5.0]]
     assert found.recognised.tolist() == [False, True]
+    assert found.mixtures[1].candidates.positions_xyz[found.mixtures[1].measured, 0].tolist() == [4.0, 5.0]
+    for p, q in zip(found.proba, everywhere.answers.proba, strict=True):
+        np.testing.assert_array_equal(p, np.concatenate((q, np.full_like(q, 1 / q.size))))

@@ -50,7 +50,7 @@ class LocalFeatures(NamedTuple):
 
     pixels: FloatArray  # (n, 2) undistorted corners
     descriptors: Descriptors  # (n, B)
-    global_descriptor: Float32Array  # at unit length: thumbnail or network's map
+    global_descriptor: Float32Array  # at unit length, to retrieve similar images
     quality: FloatArray = NOT_MEASURED  # (3,), see image_quality
     flow: FloatArray = NO_FLOW  # (2, 3), see conformodal.tracking.tracker.affine_flow
 
@@ -69,12 +69,14 @@ class Corners(NamedTuple):
 
     pixels: FloatArray  # (n, 2)
     descriptors: Descriptors  # (n, B)
+    global_descriptor: Float32Array | None = None  # at unit length, of a detector that describes the whole image
 
 
 class Detector(ABC):
     """Corners and descriptors of images: a class of :data:`DETECTORS`, made from its network in ONNX, if it has one."""
 
     name: ClassVar[str]  # in saved models and on the command line
+    describes_images: ClassVar[bool] = False  # whether it gives a global descriptor
     nothing: ClassVar[Corners]  # of an image without corners; its descriptors tell type and length of all
 
     def __init__(self, content: bytes = b"") -> None:
@@ -111,6 +113,7 @@ class XFeatDetector(Detector):
     """XFeat (Potje et al. 2024), with corners located to parts of a pixel; its network is for one size of images."""
 
     name = "xfeat"
+    describes_images = True
     nothing = Corners(np.empty((0, 2)), np.empty((0, _XFEAT_CHANNELS), np.int8))
 
     def __init__(self, content: bytes) -> None:
@@ -137,15 +140,18 @@ class XFeatDetector(Detector):
         index = np.flatnonzero((heat == hottest) & (heat > _LEAST_HEAT))
         score = heat.ravel()[index] * cv2.resize(reliability, (width, height)).ravel()[index]
         index = index[np.argsort(-score, kind="stable")[:_XFEAT_CORNERS]]
+        down, across = (np.linspace(0, n, k, endpoint=False, dtype=np.int64) for n, k in ((rows, 3), (columns, 4)))
+        parts = np.add.reduceat(np.add.reduceat(features, down, axis=1), across, axis=2).ravel()
+        global_descriptor = parts / np.linalg.norm(parts)
         if index.size == 0:
-            return self.nothing
+            return self.nothing._replace(global_descriptor=global_descriptor)
         pixels = _located(heat, index)
         unit = features.reshape(_XFEAT_CHANNELS, -1).T
         unit = (unit / np.linalg.norm(unit, axis=1, keepdims=True)).reshape(rows, columns, -1)
         descriptors = _interpolated(unit, (pixels + 0.5) / _CELL - 0.5)
         descriptors *= _UNIT / np.linalg.norm(descriptors, axis=1, keepdims=True)
         pixels = (pixels + 0.5) * (grey.shape[1] / width, grey.shape[0] / height) - 0.5
-        return Corners(pixels, np.clip(np.rint(descriptors), -127, 127).astype(np.int8))
+        return Corners(pixels, np.clip(np.rint(descriptors), -127, 127).astype(np.int8), global_descriptor)
 
     def maps(self, image: UInt8Array) -> list[Float32Array]:
         """The network's features, logits and reliability of an image of its size, see :class:`.xfeat.XFeat`."""
@@ -185,8 +191,9 @@ ORB = OrbDetector()
 def extract_local_features(image: UInt8Array, camera: PinholeCamera, detector: Detector = ORB) -> LocalFeatures:
     """Local features and global descriptor of an image (height, width[, 3])."""
     grey = grey_image(image)
-    corners = detector(grey)
-    return LocalFeatures(camera.undistort(corners.pixels), corners.descriptors, thumbnail(grey), image_quality(grey))
+    pixels, descriptors, described = detector(grey)
+    described = thumbnail(grey) if described is None else described
+    return LocalFeatures(camera.undistort(pixels), descriptors, described, image_quality(grey))
 
 
 def match(descriptors: Descriptors, others: Sequence[Descriptors]) -> list[IntArray]:

@@ -5,13 +5,14 @@ The sizes of errors and the rates of outliers are learnt from frames that were h
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 
-from conformodal.core.arrays import BoolArray, Float32Array, FloatArray
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from conformodal.core.ranges import Range
 from conformodal.features.backbone import coarse_features
 from conformodal.features.local import LocalFeatures
@@ -28,12 +29,23 @@ _MAX_GROWTH = 2.0  # exponent of a power law
 class FrameEvidence:
     """What pose sources see of n images."""
 
-    features: Float32Array  # (n, F) of the network, see conformodal.features.backbone.Backbone
+    # (n, F) of the network, see conformodal.features.backbone.Backbone, or what computes them once they are asked for
+    network: Float32Array | Callable[[], Float32Array]
     local_features: Sequence[LocalFeatures] = ()  # image by image; empty where they were not extracted
     _coarse: dict[tuple[int, int], Float32Array] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
-        return len(self.features)
+        return len(self.local_features) or len(self.features)
+
+    @cached_property
+    def features(self) -> Float32Array:
+        """(n, F) of the network."""
+        return self.network() if callable(self.network) else self.network
+
+    def part(self, rows: IntArray) -> FrameEvidence:
+        """That of some of the images."""
+        local_features = [self.local_features[i] for i in rows.tolist()] if self.local_features else ()
+        return FrameEvidence(lambda: self.features[rows], local_features)
 
     def coarse(self, grid: tuple[int, int]) -> Float32Array:
         """(n, G) :func:`~conformodal.features.backbone.coarse_features`, computed once for all that use them."""

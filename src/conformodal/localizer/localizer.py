@@ -23,7 +23,7 @@ from .candidates import Mixture, fuse, mode_candidates
 from .evidence import FrameEvidence, PoseMeasurement
 from .observations import Posterior
 from .regions import Support
-from .sources.registry import PoseSource, SourceAnswer, SourceData, find_source
+from .sources.registry import PoseSource, SourceData, find_source
 
 _IMAGES_AT_A_TIME = 256  # seven times some sixteen hundred cells each
 _CELLS = 800  # per target, at least: estimates are more precise than bins
@@ -161,14 +161,32 @@ class Localizer:
         return belief_cells(self.bins)
 
     def beliefs(self, evidence: FrameEvidence) -> Beliefs:
-        """Beliefs about the poses of n images."""
-        answers = [source.answer(evidence) for source in self.sources]
-        proba, mixtures, estimates = self._density(answers, len(evidence)), [], []
-        measured = [answer.measurements for answer in answers if answer.measurements]
-        local = [a.measurements for a, s in zip(answers, self.sources, strict=True) if s.local and a.measurements]
-        for i, modes in enumerate(mode_candidates(proba, self.bins)):
-            mixtures.append(fuse(modes, [measurements[i] for measurements in measured]))
-            estimates.append([estimate for measurements in local for estimate in measurements[i]])
+        """Beliefs about the poses of n images.
+
+        Sources that use local features answer first. Where they recognise a place, no other is asked: its answer would
+        change nothing, and need not be computed.
+        """
+        n, measurements = len(evidence), dict[str, Sequence[Sequence[PoseMeasurement]]]()
+        estimates: list[list[PoseMeasurement]] = [[] for _ in range(n)]
+        for source in (one for one in self.sources if one.local and n):
+            measurements[source.name] = answered = source.answer(evidence).measurements
+            estimates = [[*before, *new] for before, new in zip(estimates, answered, strict=True)]
+        rest = np.array([i for i, each in enumerate(estimates) if not recognised_only(each)], dtype=np.int64)
+        density: list[list[RealArray]] = []
+        for source in (one for one in self.sources if not one.local and rest.size):
+            answer = source.answer(evidence.part(rest))
+            if answer.measurements:
+                by_image = dict(zip(rest.tolist(), answer.measurements, strict=True))
+                measurements[source.name] = [by_image.get(i, []) for i in range(n)]
+            if answer.proba is not None:
+                density.append(answer.proba)
+        proba = [np.full((n, k), 1 / k, density[0][0].dtype if density else np.float64) for k in self.bins.sizes]
+        if density:
+            for whole, columns in zip(proba, zip(*density, strict=True), strict=True):
+                whole[rest] = np.mean(columns, axis=0)
+        in_order = [measurements[source.name] for source in self.sources if source.name in measurements]
+        modes = mode_candidates(proba, self.bins)
+        mixtures = [fuse(each, [answer[i] for answer in in_order]) for i, each in enumerate(modes)]
         return Beliefs(proba, mixtures, estimates)
 
     def marginals(self, beliefs: Beliefs) -> list[FloatArray]:
@@ -184,13 +202,6 @@ class Localizer:
         for start in range(0, max(len(beliefs), 1), _IMAGES_AT_A_TIME):
             rows = slice(start, start + _IMAGES_AT_A_TIME)
             yield rows, self.marginals(beliefs.part(rows))
-
-    def _density(self, answers: Sequence[SourceAnswer], n: int) -> list[RealArray]:
-        """The mean of the sources' softmaxes; the distribution of the training frames where no source has one."""
-        blocks = [answer.proba for answer in answers if answer.proba is not None]
-        if not blocks:
-            return [np.full((n, k), 1 / k) for k in self.bins.sizes]
-        return blocks[0] if len(blocks) == 1 else [np.mean(columns, axis=0) for columns in zip(*blocks, strict=True)]
 
 
 def recognised_only(estimates: Sequence[PoseMeasurement]) -> list[PoseMeasurement]:

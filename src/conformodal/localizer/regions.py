@@ -369,10 +369,12 @@ class PlaceNovelty:
 
         `recognition` (n,) is :attr:`~conformodal.localizer.localizer.Beliefs.recognition`, None for appearance alone.
         """
-        distances = self.distances(evidence)
         if self.matched is None or recognition is None:
-            return self.test.p_values(distances)
-        return self.matched.p_values(self.ranked(distances, recognition))
+            return self.test.p_values(self.distances(evidence))
+        scores, rest = -recognition, np.flatnonzero(recognition <= 0)
+        if rest.size:  # others need no network
+            scores[rest] = self.distances(evidence.part(rest))
+        return self.matched.p_values(scores)
 
     def level(self, asked: float | None) -> float:
         """The significance level: the given one, or the default of :class:`~conformodal.pipeline.config.ModelConfig`.

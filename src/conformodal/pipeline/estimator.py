@@ -235,7 +235,8 @@ class VisualOdometry(Odometry):
             if self._usable_s is not None:
                 flow = affine_flow(self._front_end.tracker.step, timestamp_s - self._usable_s, self.model.camera)
                 local_features = [local_features[0]._replace(flow=flow)]
-        localization = self.model.localize(FrameEvidence(self.model.backbone.features_of(image), local_features))
+        network = partial(self.model.backbone.features_of, image)
+        localization = self.model.localize(FrameEvidence(network, local_features))
         posterior = self._filter.push(
             localization.candidates[0], motion, timestamp_s, known=bool(localization.known[0])
         )

@@ -232,7 +232,7 @@ class PoseModel:
     def localize(self, evidence: FrameEvidence) -> Localization:
         """Beliefs and calibrated regions of n images."""
         if not self.looks_at_local_features:  # beliefs with local features are not calibrated then
-            evidence = FrameEvidence(evidence.features)
+            evidence = FrameEvidence(evidence.network)
         elif not evidence.local_features:
             raise OdometryError("the model looks at local features, and the images come without")
         beliefs, p = self.localizer.beliefs(evidence), np.full(len(evidence), np.nan)

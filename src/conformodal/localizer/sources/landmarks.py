@@ -68,7 +68,9 @@ class LandmarkSource:
     map: LandmarkMap
     frames: IntArray
     errors: ErrorModel
-    grid: tuple[int, int] | None = None  # of the network's map, which retrieves places; None: thumbnails do
+    grid: tuple[int, int] | None = (
+        None  # of the network's map, which retrieves places; None: local features, or thumbnails
+    )
 
     @property
     def summary(self) -> dict[str, float]:
@@ -96,13 +98,17 @@ class LandmarkSource:
         landmarks = LandmarkMap.build(features, truth.poses_se3, camera, depth_m, done(0), data.matcher)
         groups = pieces[chosen], data.stretches[chosen]
         errors = _fit_errors(landmarks, features, truth, groups, left_out, done(len(chosen)))
-        return None if errors is None else cls(landmarks, frames, errors, data.grid)
+        return (
+            None
+            if errors is None
+            else cls(landmarks, frames, errors, None if data.detector.describes_images else data.grid)
+        )
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """One estimate per retrieval cluster; none for images without local features."""
         images = evidence.local_features
         if not images:
-            return SourceAnswer(measurements=[[] for _ in evidence.features])
+            return SourceAnswer(measurements=[[] for _ in range(len(evidence))])
         if self.grid is not None:
             rows = zip(images, at_unit_length(evidence.coarse(self.grid)), strict=True)
             images = [image._replace(global_descriptor=row) for image, row in rows]

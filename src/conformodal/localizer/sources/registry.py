@@ -42,7 +42,7 @@ class SourceData:
     # how frames are held out, which decides what is left out together to learn the sizes of errors
     split: SplitKind = SplitKind.INTERLEAVED
     depth_m: float = math.nan  # median depth of what the camera sees; NaN where it is not known
-    # rows and columns of the network's map, which retrieves places; None retrieves them by thumbnails
+    # rows and columns of the network's map, which retrieves places unless local features do; None: thumbnails do
     grid: tuple[int, int] | None = None
     n_bins: int = 50
     margin: float = 0.02  # of the bins
@@ -94,7 +94,7 @@ class SourceData:
         return [self._local_features[i] for i in frames.tolist()]
 
     def _cache(self, frames: Sequence[int], features: Sequence[LocalFeatures]) -> None:
-        if frames and self.grid is not None:
+        if frames and self.grid is not None and not self.detector.describes_images:
             maps = at_unit_length(coarse_features(self.features[frames], self.grid))
             features = [one._replace(global_descriptor=row) for one, row in zip(features, maps, strict=True)]
         self._local_features.update(zip(frames, features, strict=True))
