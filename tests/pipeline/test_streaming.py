@@ -90,11 +90,13 @@ def test_regions_from_several_frames_hold_new_stretches_at_any_rate(by_stretch):
         assert run.path_regions.keys() == {"online", "hindsight"}
         for regions in run.path_regions.values():
             assert regions.contains(targets[frames], joint=True).mean() > 0.75
-        # no reliable pose lies outside of its region, or beside another place
+        # no reliable pose lies outside of its regions, beside another place, or where recognition is weak
         vouched = run.path_regions["online"][run.reliable]
         assert (vouched.n_places == 1).all()
         poses = pose_targets(run.trajectories["online"][run.reliable], model.sign_reference)
-        assert vouched.contains(poses, joint=True).all()
+        for regions in (vouched, run.regions[run.reliable]):
+            assert regions.contains(poses, joint=True).all()
+        assert (run.known_p[run.reliable] > model.rules.level).all()
     run = VisualOdometry(model).process(sequence, model.split.test[:25])
     for cut in (5, 12, 20):  # poses when their frame comes depend on no later frame
         observations = run.observations(np.arange(cut))

@@ -274,11 +274,15 @@ class VisualOdometry(Odometry):
         problems = [] if motion is None or motion.reliable else [str(motion.status)]
         if evidence is EvidenceType.UNKNOWN:
             problems.append(f"like no place that is known (p = {known_p:.2g})")
+        elif known_p <= self.model.rules.level:
+            problems.append(f"recognised more weakly than the frames that calibrate (p = {known_p:.2g})")
         if best.probability < RELIABLE:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
         pose = Trajectory(np.array([timestamp_s]), best.position_xyz[None], best.orientation_quat_wxyz[None])
         path_region = self.model.path_regions(localization.beliefs, [posterior], path)
         problems += self._doubts(localization.regions if path_region is None else path_region, pose)
+        if path_region is not None and not self._holds(localization.regions, pose):  # a path may be sure and wrong
+            problems.append("the pose lies outside of the image's region")
         return Estimate(
             timestamp_s=timestamp_s,
             pose=pose,
@@ -304,8 +308,11 @@ class VisualOdometry(Odometry):
             return ["the region is unbounded"]
         if region.n_places[0] > 1:
             return [f"the region names {region.n_places[0]} places"]
-        inside = region.contains(pose_targets(pose, self.model.sign_reference), joint=True)[0]
-        return [] if inside else ["the pose lies outside of its region"]
+        return [] if self._holds(region, pose) else ["the pose lies outside of its region"]
+
+    def _holds(self, region: PoseRegions, pose: Trajectory) -> bool:
+        """Whether a region contains a pose."""
+        return bool(region.contains(pose_targets(pose, self.model.sign_reference), joint=True)[0])
 
 
 def _revised(window: Window, prior: MotionPrior) -> Trajectory:
