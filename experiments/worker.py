@@ -142,8 +142,8 @@ def add_trajectories(
     the landmarks' estimates, through our search and smoother.
     """
     model, tuned, times = trained.model, trained.tuned, run.timestamps_s
-    beliefs = run.localization.beliefs
-    mean = softmax_mean(beliefs.proba, model.bins)
+    beliefs, alone = run.localization.beliefs, model.localizer.beliefs(FrameEvidence(features))
+    mean = softmax_mean(alone.proba, model.bins)  # of all images, also those whose place landmarks recognise
     found = {
         "softmax_mean": Trajectory(times, mean[:, :3], mean[:, 3:]),
         "plain": trained.plain.trajectory(features, times),
@@ -163,8 +163,7 @@ def add_trajectories(
         single = [
             fuse(own, [its]).candidates for own, its in zip(_as_candidates(tuned, features), estimates, strict=True)
         ]
-        without = [mixture.candidates for mixture in model.localizer.beliefs(FrameEvidence(features)).mixtures]
-        choices = {"no_landmarks": without, "tuned_landmarks": single}
+        choices = {"no_landmarks": [mixture.candidates for mixture in alone.mixtures], "tuned_landmarks": single}
         for name, candidates in choices.items():
             seen = (replace(run.observations(at), candidates=[candidates[t] for t in at]) for at in pieces)
             found[name] = concatenate(

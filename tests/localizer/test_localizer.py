@@ -87,7 +87,7 @@ def test_one_softmax_is_taken_as_it_is_and_of_several_the_mean(bins):
     one = Localizer((silent, told(proba=a)), bins, SIGN).beliefs(images(3))
     for p, q in zip(one.proba, a, strict=True):
         np.testing.assert_array_equal(p, q)
-    two = Localizer((told(proba=a), silent, told(Other, proba=b)), bins, SIGN).beliefs(images(3))
+    two = Localizer((told(Local, proba=a), told(Other, proba=b)), bins, SIGN).beliefs(images(3))
     for p, q, r in zip(two.proba, a, b, strict=True):
         np.testing.assert_allclose(p, (q + r) / 2, rtol=1e-15)
 

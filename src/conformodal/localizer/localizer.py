@@ -163,31 +163,40 @@ class Localizer:
     def beliefs(self, evidence: FrameEvidence) -> Beliefs:
         """Beliefs about the poses of n images.
 
-        Sources that use local features answer first. Where they recognise a place, no other is asked: its answer would
-        change nothing, and need not be computed.
+        Sources that use local features answer first. Where they recognise a place, no other is asked: its answer need
+        not be computed, and what the estimates leave spreads evenly.
         """
-        n, measurements = len(evidence), dict[str, Sequence[Sequence[PoseMeasurement]]]()
-        estimates: list[list[PoseMeasurement]] = [[] for _ in range(n)]
-        for source in (one for one in self.sources if one.local and n):
-            measurements[source.name] = answered = source.answer(evidence).measurements
-            estimates = [[*before, *new] for before, new in zip(estimates, answered, strict=True)]
-        rest = np.array([i for i, each in enumerate(estimates) if not recognised_only(each)], dtype=np.int64)
-        density: list[list[RealArray]] = []
-        for source in (one for one in self.sources if not one.local and rest.size):
-            answer = source.answer(evidence.part(rest))
-            if answer.measurements:
-                by_image = dict(zip(rest.tolist(), answer.measurements, strict=True))
-                measurements[source.name] = [by_image.get(i, []) for i in range(n)]
-            if answer.proba is not None:
-                density.append(answer.proba)
-        proba = [np.full((n, k), 1 / k, density[0][0].dtype if density else np.float64) for k in self.bins.sizes]
-        if density:
-            for whole, columns in zip(proba, zip(*density, strict=True), strict=True):
-                whole[rest] = np.mean(columns, axis=0)
+        n, measurements = len(evidence), dict[str, list[Sequence[PoseMeasurement]]]()
+        densities: list[tuple[IntArray, list[RealArray]]] = []
+
+        def ask(rows: IntArray, *, local: bool) -> None:
+            for source in (one for one in self.sources if one.local == local and rows.size):
+                answer = source.answer(evidence if len(rows) == n else evidence.part(rows))
+                if answer.measurements:
+                    by_image = dict(zip(rows.tolist(), answer.measurements, strict=True))
+                    measurements[source.name] = [by_image.get(i, ()) for i in range(n)]
+                if answer.proba is not None:
+                    densities.append((rows, answer.proba))
+
+        ask(np.arange(n), local=True)
+        estimates = [[one for answer in measurements.values() for one in answer[i]] for i in range(n)]
+        ask(np.array([i for i in range(n) if not recognised_only(estimates[i])], dtype=np.int64), local=False)
         in_order = [measurements[source.name] for source in self.sources if source.name in measurements]
+        proba = self._density(densities, n)
         modes = mode_candidates(proba, self.bins)
         mixtures = [fuse(each, [answer[i] for answer in in_order]) for i, each in enumerate(modes)]
         return Beliefs(proba, mixtures, estimates)
+
+    def _density(self, densities: Sequence[tuple[IntArray, list[RealArray]]], n: int) -> list[RealArray]:
+        """The mean of the softmaxes of each image; the distribution of the training frames where no source has one."""
+        proba, dtype = [], densities[0][1][0].dtype if densities else np.dtype(np.float64)
+        for j, k in enumerate(self.bins.sizes):
+            total, count = np.zeros((n, k), dtype), np.zeros((n, 1))
+            for rows, columns in densities:
+                total[rows] += columns[j]
+                count[rows] += 1
+            proba.append(np.where(count > 0, total / np.maximum(count, 1), 1 / k).astype(dtype))
+        return proba
 
     def marginals(self, beliefs: Beliefs) -> list[FloatArray]:
         """Seven arrays (n, cells), see :meth:`Beliefs.marginals`."""

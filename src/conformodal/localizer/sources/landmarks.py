@@ -68,9 +68,8 @@ class LandmarkSource:
     map: LandmarkMap
     frames: IntArray
     errors: ErrorModel
-    grid: tuple[int, int] | None = (
-        None  # of the network's map, which retrieves places; None: local features, or thumbnails
-    )
+    # of the network's map, which retrieves places; None: the detector's description of the image does, or a thumbnail
+    grid: tuple[int, int] | None = None
 
     @property
     def summary(self) -> dict[str, float]:

@@ -79,9 +79,10 @@ class SourceData:
 
     def look_through(self, frames: IntArray, *, local: bool) -> dict[int, RelativeMotion | None]:
         """Motion to each of some frames from the one before; with `local`, their local features are cached as well."""
+        missing = [i for i in frames.tolist() if i not in self._local_features] if local else []
         report = stage_of(self.progress, "frames")
-        looks = look_through(self.sequence, frames, self.detector if local else None, report)
-        self._cache(list(looks.features), list(looks.features.values()))
+        looks = look_through(self.sequence, frames, self.detector if missing else None, report)
+        self._cache(missing, [looks.features[i] for i in missing])
         return looks.motions
 
     def local_features(self, frames: IntArray) -> list[LocalFeatures]:
