@@ -32,13 +32,13 @@ PARTS = ("network", "tracking and relative pose", "local features", "landmarks",
 def answer(model: Path, images: list[str]) -> dict[str, Any]:
     """What one stream costs."""
     odometry = VisualOdometry.load(model)
-    first_s, seconds, frames_ms = 0.0, defaultdict(float), []
+    first_s, seconds, calls, frames_ms = 0.0, defaultdict(float), defaultdict(int), []
     for k, path in enumerate(images):
         image = read_image(Path(path))
         if k == 1:
             first_s = time.perf_counter() - BEGAN
         if k == WARM:
-            time_parts(seconds)
+            time_parts(seconds, calls)
         started = time.perf_counter()
         odometry.step(image, k / 30)
         if k >= WARM:
@@ -48,6 +48,7 @@ def answer(model: Path, images: list[str]) -> dict[str, Any]:
         "p99": float(np.percentile(frames_ms, 99)),
         "mean": float(np.mean(frames_ms)),
         "parts": {name: 1e3 * seconds[name] / len(frames_ms) for name in PARTS},
+        "network": calls["network"] / len(frames_ms),
         "first_s": first_s,
         "resident_mb": peak_mb(),
     }
@@ -59,8 +60,8 @@ def peak_mb() -> float:
     return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) / 1e3
 
 
-def time_parts(seconds: dict[str, float]) -> None:
-    """Add the time that parts of an estimator take from now on to `seconds`, by their names."""
+def time_parts(seconds: dict[str, float], calls: dict[str, int]) -> None:
+    """Add the time that parts of an estimator take from now on to `seconds`, and count their calls, by their names."""
     timed_calls = [
         (Backbone, "features_of", "network"),
         (MotionFrontEnd, "measure", "tracking and relative pose"),
@@ -79,6 +80,7 @@ def time_parts(seconds: dict[str, float]) -> None:
                 return call(*arguments, **options)
             finally:
                 seconds[name] += time.perf_counter() - started
+                calls[name] += 1
 
         return wrapper
 
