@@ -60,9 +60,9 @@ def test_runs_have_the_flow_that_training_has(every):
 
 def test_one_look_gives_features_and_motions_of_all_frames_though_it_is_cut_into_segments(monkeypatch):
     pan, frames = Pan(21, px=8), np.array([2, 3, 5, 6, 9, 12, 13, 20])
-    whole = look_through(pan, frames, ORB)
+    whole = look_through(pan, frames, ORB, motions=True)
     monkeypatch.setattr("conformodal.tracking.motions._SEGMENT", 3)
-    cut = look_through(pan, frames, ORB)
+    cut = look_through(pan, frames, ORB, motions=True)
     for looks in (whole, cut):
         assert set(frames) == looks.features.keys() <= looks.motions.keys()
         for i in frames.tolist():

@@ -93,8 +93,8 @@ def demo(
         summary = [
             f"A drone flew along a dark hallway of {counted(N_MODULES, 'identical module')}, into every room. "
             f"{counted(len(model.split.train), 'frame')} trained a network, {len(model.split.calibration)} calibrated "
-            f"its regions, {len(truth)} were held out: {metrics['split_note']} Regions from several frames need "
-            "held-out stretches (`--split blocks`) of places that other stretches show; one flight has too few.",
+            f"its regions, {len(truth)} were held out: {metrics['split_note']}",
+            "There are no regions from several frames: at this alpha they take more stretches than one flight has.",
             alike,
             *describe_outcome("demo", metrics),
         ]

@@ -140,6 +140,7 @@ class XFeatDetector(Detector):
         index = np.flatnonzero((heat == hottest) & (heat > _LEAST_HEAT))
         score = heat.ravel()[index] * cv2.resize(reliability, (width, height)).ravel()[index]
         index = index[np.argsort(-score, kind="stable")[:_XFEAT_CORNERS]]
+        # twelve parts of the image: as many numbers as a thumbnail has, which loading a model checks
         down, across = (np.linspace(0, n, k, endpoint=False, dtype=np.int64) for n, k in ((rows, 3), (columns, 4)))
         parts = np.add.reduceat(np.add.reduceat(features, down, axis=1), across, axis=2).ravel()
         global_descriptor = parts / np.linalg.norm(parts)
@@ -201,12 +202,12 @@ def match(descriptors: Descriptors, others: Sequence[Descriptors]) -> list[IntAr
 
     Bits: the nearest, clearly nearer than the second. Directions: the nearest to each other, if they are alike enough.
     """
-    numbers, greatest = _numbers(descriptors), _greatest(descriptors)
+    numbers, directed, greatest = _numbers(descriptors), descriptors.dtype == np.int8, _greatest(descriptors)
     # set by set: products with all of them would be too large for the processor's cache
-    return [_of_one(np.matmul(numbers, _numbers(each).T), descriptors.dtype == np.int8, greatest) for each in others]
+    return [_best_pairs(np.matmul(numbers, _numbers(each).T), directed, greatest) for each in others]
 
 
-def _of_one(alike: Float32Array, directed: bool, greatest: float) -> IntArray:
+def _best_pairs(alike: Float32Array, directed: bool, greatest: float) -> IntArray:
     """Matches (m, 2) from similarities (n, k), which are overwritten."""
     if len(alike) == 0 or alike.shape[1] < 2:
         return np.empty((0, 2), np.int64)

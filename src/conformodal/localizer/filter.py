@@ -14,7 +14,6 @@ Source: Alspach and Sorenson (1972) for the filter, Kitagawa (1994) for the two-
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -375,4 +374,4 @@ def _joined(forward: Posterior, ahead: Prediction, prior: MotionPrior) -> Poster
     """A posterior from the frames up to this one, times what later frames predict."""
     joined = update(ahead, forward.hypotheses, prior, wrong=forward.elsewhere, tempering=1.0)
     unseen_s = [side.unseen_s for side in (forward, ahead) if side.elsewhere <= 0.5]  # from a side that is not lost
-    return replace(joined, unseen_s=min(unseen_s, default=math.inf))
+    return replace(joined, unseen_s=min(unseen_s, default=np.inf))

@@ -371,10 +371,10 @@ class PlaceNovelty:
         """
         if self.matched is None or recognition is None:
             return self.test.p_values(self.distances(evidence))
-        scores, rest = -recognition, np.flatnonzero(recognition <= 0)
+        distances, rest = np.zeros(len(evidence)), np.flatnonzero(recognition <= 0)
         if rest.size:  # others need no network
-            scores[rest] = self.distances(evidence.part(rest))
-        return self.matched.p_values(scores)
+            distances[rest] = self.distances(evidence.part(rest))
+        return self.matched.p_values(self.ranked(distances, recognition))
 
     def level(self, asked: float | None) -> float:
         """The significance level: the given one, or the default of :class:`~conformodal.pipeline.config.ModelConfig`.

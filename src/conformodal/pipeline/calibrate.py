@@ -214,7 +214,7 @@ def calibrate_paths(
     """
     if folds.units is None:
         return {}
-    rules, units, known = calibrated.rules, folds.units, calibrated.rules.known
+    rules, units = calibrated.rules, folds.units
     scored: dict[str, list[_Scored]] = {path: [] for path in PATHS}
     start, rng = 0, np.random.default_rng(0)
     n_streams = sum(len(np.unique(units[fold.held_out])) for fold in folds.folds)
@@ -227,7 +227,7 @@ def calibrate_paths(
                 [beliefs.mixtures[i].candidates for i in rows],
                 [motions[frame] for frame in frames.tolist()],
                 sequence.timestamps_s[frames],
-                known=known[start + at],
+                known=rules.known[start + at],
             )
             forward = filter_posteriors(observations, prior)
             posteriors[ONLINE] |= dict(zip(rows, forward, strict=True))

@@ -101,8 +101,10 @@ def train_model(
         parts.append(folds.region_frames)
     motions: dict[int, RelativeMotion | None] = {}
     local = any(find_source(name).local for name in config.sources)
-    if config.method is not Method.PAPER and (local or folds.units is not None):
-        motions = sources.look_through(np.union1d(folds.region_frames, folds.held_out), local=local)
+    stretches = folds.units is not None
+    if config.method is not Method.PAPER and (local or stretches):
+        looked_at = np.union1d(folds.region_frames, folds.held_out)
+        motions = sources.look_through(looked_at, local=local, motions=stretches)
     (*localizers, localizer), known_frames = side_by_side(
         lambda: Localizer.fit_each(sources, parts, config.sources), lambda: identify(data.sequence)
     )
@@ -123,7 +125,7 @@ def train_model(
             lambda: calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, frames_alone, progress),
         )
     rules, novelty = regions.rules, regions.novelty
-    stretches, test = folds.units is not None, data.split.test
+    test = data.split.test
     return PoseModel(
         backbone=data.backbone,
         localizer=localizer,

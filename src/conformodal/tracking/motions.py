@@ -27,9 +27,12 @@ class FrameLooks(NamedTuple):
 
 
 def look_through(
-    sequence: Recording, frames: IntArray, detector: Detector | None, progress: Progress | None = None
+    sequence: Recording, frames: IntArray, detector: Detector | None, progress: Progress | None = None, *, motions: bool
 ) -> FrameLooks:
-    """Look once at each of `frames`, increasing indices in a sequence, and follow corners through all between them."""
+    """Look once at each of `frames`, increasing indices in a sequence, and follow corners through all between them.
+
+    `motions` says whether these are wanted: flows need none.
+    """
 
     def look_at(rows: IntArray) -> FrameLooks:
         looks, front_end, before = FrameLooks({}, {}), MotionFrontEnd(sequence.camera), -1
@@ -45,7 +48,10 @@ def look_through(
                 if i in wanted:
                     raise
                 continue
-            if i in wanted or before < 0:
+            if not motions:
+                front_end.tracker.advance(grey)
+                front_end.tracker.mark()
+            elif i in wanted or before < 0:
                 looks.motions[i] = front_end.measure(grey)
             else:
                 front_end.track_only(grey)
@@ -59,10 +65,10 @@ def look_through(
     wanted = set(frames.tolist())
     segments = [np.arange(len(frames))[k : k + _SEGMENT] for k in range(0, len(frames), _SEGMENT)]
     looks = in_threads(look_at, segments, progress)[::-1]  # what leads in to a segment is of the one before
-    motions = {i: motion for look in looks for i, motion in look.motions.items()}
-    return FrameLooks(motions, {i: features for look in looks for i, features in look.features.items()})
+    every_motion = {i: motion for look in looks for i, motion in look.motions.items()}
+    return FrameLooks(every_motion, {i: features for look in looks for i, features in look.features.items()})
 
 
 def frame_features(sequence: Recording, i: int, detector: Detector) -> LocalFeatures:
     """Local features of a frame of a sequence, with its flow from the frame before."""
-    return look_through(sequence, np.array([i]), detector).features[i]
+    return look_through(sequence, np.array([i]), detector, motions=False).features[i]

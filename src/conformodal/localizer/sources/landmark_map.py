@@ -19,9 +19,7 @@ from conformodal.features.local import Descriptors, LocalFeatures, Matcher, alik
 from conformodal.geometry import PinholeCamera, cross_matrices, rigid_motions
 from conformodal.geometry.adjustment import MEDIAN_OF_NORM2
 from conformodal.geometry.triangulation import nearest_kilometres
-from conformodal.localizer.evidence import (
-    PoseMeasurement,
-)
+from conformodal.localizer.evidence import PoseMeasurement
 
 # Retrieval: keyframes matched in the most similar cluster and in each of the others, clusters at most, and keyframes
 # that are clustered

@@ -97,11 +97,8 @@ class LandmarkSource:
         landmarks = LandmarkMap.build(features, truth.poses_se3, camera, depth_m, done(0), data.matcher)
         groups = pieces[chosen], data.stretches[chosen]
         errors = _fit_errors(landmarks, features, truth, groups, left_out, done(len(chosen)))
-        return (
-            None
-            if errors is None
-            else cls(landmarks, frames, errors, None if data.detector.describes_images else data.grid)
-        )
+        grid = None if data.detector.describes_images else data.grid
+        return None if errors is None else cls(landmarks, frames, errors, grid)
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """One estimate per retrieval cluster; none for images without local features."""

@@ -77,11 +77,11 @@ class SourceData:
             self._projections[key] = fit_projection(self.features[frames], components, view)
         return self._projections[key]
 
-    def look_through(self, frames: IntArray, *, local: bool) -> dict[int, RelativeMotion | None]:
-        """Motion to each of some frames from the one before; with `local`, their local features are cached as well."""
+    def look_through(self, frames: IntArray, *, local: bool, motions: bool) -> dict[int, RelativeMotion | None]:
+        """Motion to each of some frames from the one before, if wanted; `local` caches their local features."""
         missing = [i for i in frames.tolist() if i not in self._local_features] if local else []
         report = stage_of(self.progress, "frames")
-        looks = look_through(self.sequence, frames, self.detector if missing else None, report)
+        looks = look_through(self.sequence, frames, self.detector if missing else None, report, motions=motions)
         self._cache(missing, [looks.features[i] for i in missing])
         return looks.motions
 
