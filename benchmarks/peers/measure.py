@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 from problems import Split
 
-from conformodal.conformal.coverage import worst_slab
 from conformodal.core.arrays import FloatArray
 
 
@@ -29,8 +28,8 @@ def one_interval(low: npt.ArrayLike, high: npt.ArrayLike) -> Sets:
     return Sets(len(a), keep, a[keep], b[keep])
 
 
-def measure(sets: Sets, split: Split, alpha: float) -> dict[str, float | None]:
-    """Coverage (also in the worst slab and the hardest quarter), size and components.
+def measure(sets: Sets, split: Split, alpha: float) -> dict[str, float]:
+    """Coverage (also in the hardest quarter), size and components.
 
     Size is length; for a target on a grid it is the grid values held, each counted as wide as its cell (half way to
     its neighbours), so that a set of single values is not called shorter than an interval that holds no more of them.
@@ -45,10 +44,8 @@ def measure(sets: Sets, split: Split, alpha: float) -> dict[str, float | None]:
         ends = np.concatenate(([grid[0] - (middles[0] - grid[0])], middles, [grid[-1] + (grid[-1] - middles[-1])]))
         reach = np.concatenate(([0.0], np.cumsum(np.diff(ends))))
         sizes = reach[np.searchsorted(grid, sets.high, "right")] - reach[np.searchsorted(grid, sets.low, "left")]
-    slab = worst_slab(inside, split.X["test"])
     return {
         "covered": int(inside.sum()),
-        "worst slab": float(inside[slab].mean()) if slab.size else None,
         "hardest quarter": float(inside[split.hardest].mean()),
         "size": float(np.bincount(sets.rows, sizes, minlength=sets.n).mean()),
         "components": float(sets.rows.size / sets.n),

@@ -26,7 +26,7 @@ from conformodal.conformal import check_coverage, coverage_band
 from common import RESULTS, SEEDS, cached_json, mean_interval, parser_of, table_lines, write_page  # isort: skip - as above
 
 ALPHA = 0.1
-SHOWN = {"size": 3, "components": 2, "worst slab": 3, "hardest quarter": 3, "seconds": 0}
+SHOWN = {"size": 3, "components": 2, "hardest quarter": 3, "seconds": 0}
 Run = dict[str, Any]
 Runs = dict[int, Run]  # by seed
 
@@ -140,8 +140,7 @@ def main() -> None:
         "the command. Size: mean length in standard deviations of the training values. A target with fewer distinct "
         "values than a fifth of its rows is on a grid: its size counts the grid values held, each as wide as its cell, "
         "for every method alike. In brackets the exact 99 % Beta-binomial band of one split's coverage; then how many "
-        "splits lie in it. Worst slab: coverage in the strip of inputs with the lowest coverage on half of the test rows, "
-        "on the other half. Hardest quarter: of the test rows, by residuals that forests expect, the same rows for all. "
+        "splits lie in it. Hardest quarter: of the test rows, by residuals that forests expect, the same rows for all. "
         "Seconds are of one core and include tuning. Valid: no run below its 99.99 % band; failed ones do not count. "
         "What each peer is and how it is tuned: `benchmarks/peers/methods.py`; those without a row have no run yet."
     )

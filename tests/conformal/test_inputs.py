@@ -14,8 +14,7 @@ from scipy import sparse
 from sklearn.tree import DecisionTreeClassifier
 
 import conformodal.conformal as cm
-from conformodal.conformal.checks import as_labels, as_probabilities, as_reals, factorise
-from conformodal.conformal.coverage import worst_slab
+from conformodal.conformal.checks import as_probabilities, as_reals
 from tests.helpers import Missing
 
 RNG = np.random.default_rng(0)
@@ -26,7 +25,6 @@ Y = RNG.integers(0, 32, (N, D)) / np.array([4, 16])
 G = np.arange(N) % 3
 X = RNG.integers(-32, 32, (N, 3)) / 8
 W = RNG.integers(1, 32, N) / 8
-HELD = RNG.random(N) < 0.8
 
 
 def parts(regions):
@@ -45,7 +43,6 @@ for CALIBRATOR in (SPLIT, JOINT):
 NOVELTY = cm.NoveltyTest(X, G)
 MONDRIAN = cm.MondrianConformal(BINS, 0.2).calibrate(P, Y, G)
 WEIGHTED = cm.WeightedConformal(BINS, 0.2).calibrate(P, Y, W)
-CROSS = cm.CrossConformal(BINS, 0.2).calibrate(P, Y, G)
 ONLINE = cm.OnlineConformal(BINS, 0.2).update(P, Y)
 
 # one argument of a public function: good values for it, and what the function makes of them
@@ -61,7 +58,6 @@ ENTRIES = {
     "weights": (W, lambda w: [cm.WeightedConformal(BINS, 0.2).calibrate(P, Y, w).thresholds([1.0])]),
     "new weights": (W, lambda w: parts(WEIGHTED.predict(P, w))),
     "conditions": (W, lambda w: [cm.ConditionalConformal(BINS, 0.2).calibrate(P, Y, w).thresholds([1.0])]),
-    "cross predict": (P, lambda p: parts(CROSS.predict({0: p, 1: P, 2: P}))),
     "online run": (P, lambda p: parts(cm.OnlineConformal(BINS, 0.2).run(p, Y))),
     "bins fit": (Y, lambda y: cm.QuantileBins(4).fit(y).edges_),
     "bins edges": (np.arange(9) / 8, lambda e: cm.QuantileBins.from_edges([e]).edges_),
@@ -71,7 +67,6 @@ ENTRIES = {
     "hierarchical_quantile": (W, lambda s: [cm.hierarchical_quantile([s, W], 0.4)]),
     "novelty references": (X, lambda x: [cm.NoveltyTest(x, G).scores_]),
     "novelty scores": (X, lambda x: [NOVELTY.scores(x)]),
-    "slab": (X, lambda x: [worst_slab(HELD, x)]),
     "regressor X": (X, lambda x: [tree().fit(x, Y).predict(X)]),
     "regressor y": (Y, lambda y: [tree().fit(X, y).predict(X)]),
     "regressor predict": (X, lambda x: [FITTED.predict(x), *parts(FITTED.predict_region(x))]),
@@ -169,14 +164,8 @@ SAME_LABELS = {
 }  # fmt: skip
 
 
-def cross(folds, new):
-    calibrator = cm.CrossConformal(BINS, 0.2).calibrate(P, Y, folds)
-    return calibrator.predict(dict.fromkeys(factorise(as_labels(new, N))[0], P)).masks
-
-
 USES = {  # of labels to calibrate by, and to ask for
     "mondrian": lambda old, new: cm.MondrianConformal(BINS, 0.2).calibrate(P, Y, old).predict(P, new).masks,
-    "cross": cross,
     "split": lambda old, new: [cm.SplitConformal(BINS, 0.6).calibrate(P, Y, old).at(0.5).thresholds_],
     "novelty": lambda old, new: [cm.NoveltyTest(X, old).left_out_p_values()],
 }
@@ -205,5 +194,5 @@ BAD_LABELS = {
 @pytest.mark.parametrize("use", USES)
 def test_what_is_not_a_label_per_sample_is_refused(use):
     for kind, labels in BAD_LABELS.items():
-        with pytest.raises(cm.ConformodalError, match=r"groups|folds|units"):
+        with pytest.raises(cm.ConformodalError, match=r"groups|units"):
             pytest.fail(f"{kind}: {USES[use](labels, G)}")

@@ -56,9 +56,6 @@ def calibrators(n, alpha):
     yield cm.SplitConformal(bins, 0.5, PlaceScore()).calibrate(proba, y).at(alpha).predict(proba[:1])
     yield cm.MondrianConformal(*settings).calibrate(proba, y, same).predict(proba[:1], [0])
     yield cm.WeightedConformal(*settings).calibrate(proba, y, same + 0.3).predict(proba[:1], [0.3])
-    yield cm.CrossConformal(*settings).calibrate(proba, y, same).predict({0.0: proba[:1]})
-    halves = cm.CrossConformal(*settings).calibrate(proba, y, np.arange(n) % 2)
-    yield halves.predict(dict.fromkeys(np.unique(np.arange(n) % 2), proba[:1]))
 
 
 def test_every_calibrator_where_floats_would_miss():

@@ -28,7 +28,6 @@ MONDRIAN = cm.MondrianConformal(BINS, 0.2).calibrate(P, Y, GROUPS)
 WEIGHTED = cm.WeightedConformal(BINS, 0.2).calibrate(P, Y, W)
 CONDITIONAL = cm.ConditionalConformal(BINS, 0.2).calibrate(P, Y, W)
 NAMED = cm.ConditionalConformal(BINS, 0.2).calibrate(P, Y, pd.DataFrame({"a": W, "b": W}))
-CROSS = cm.CrossConformal(BINS, 0.2).calibrate(P, Y, GROUPS)
 NOVELTY = cm.NoveltyTest(X, GROUPS)
 MASKS = [np.ones((2, K), bool)] * 2
 BOUNDED = np.zeros((2, 2), bool)
@@ -81,7 +80,6 @@ PARAMETERS = {  # argument, values that it does not take, what takes it
     "empty": ("empty", ["drop", None], lambda v: split(empty=v)),
     "score": ("score", ["best", cm.Lac, None], lambda v: split(score=v)),
     "bins": ("bins", [[0, 1], None], lambda v: cm.SplitConformal(v).calibrate(P, Y)),
-    "delta": ("delta", NOT_NUMBERS, lambda v: cm.DriftMonitor(SPLIT, v)),
     "estimator": ("estimator", [5, "slow", DecisionTreeClassifier], lambda v: cm.ConformalRegressor(v).fit(X, Y)),
     "window": ("window", [2.5, 0], lambda v: cm.Aci(window=v)),
 }
@@ -131,14 +129,11 @@ REFUSED = [
     ("conditions.*another order", lambda: NAMED.predict(P, pd.DataFrame({"b": W, "a": W}))),
     ("groups", lambda: cm.MondrianConformal(BINS).calibrate(P, Y, [1])),
     ("units", lambda: cm.SplitConformal(BINS).calibrate(P, Y, [1])),
-    ("folds", lambda: CROSS.predict(P)),
-    ("folds", lambda: CROSS.predict({0: P})),
     ("masks", lambda: cm.Regions(BINS, MASKS[:1], BOUNDED)),
     ("masks", lambda: cm.Regions(BINS, [MASKS[0], MASKS[0][:, :3]], BOUNDED)),
     ("unbounded", lambda: cm.Regions(BINS, MASKS, BOUNDED[:, :1])),
     ("y has", lambda: REGIONS.contains(Y[:2])),
     ("groups", lambda: cm.diagnose(MONDRIAN, P, Y)),
-    ("X", lambda: cm.diagnose(SPLIT, P, Y, X[:7])),
     ("inside", lambda: cm.diagnose(SPLIT, P[:0], Y[:0])),
     ("inside", lambda: cm.check_coverage([0.0, np.nan], 9, 0.1)),
     ("references", lambda: cm.NoveltyTest(np.zeros(3), [0, 1, 2])),
@@ -149,12 +144,9 @@ REFUSED = [
     ("row 0", lambda: cm.QuantileBins(9, y_min=5).fit(Y)),
     ("row 0", lambda: tree(y_min=0).fit(X, Y).conformalize(X, -1 - Y)),
     ("order", lambda: cm.Aps("size")),
-    ("alpha", lambda: cm.region_scorers(2)),
     ("regions", lambda: FITTED.predict_density(X).probabilities(REGIONS[:3], 0)),
     ("y", lambda: FITTED.predict_density(X).pdf([1.0])),
     ("q must", lambda: FITTED.predict_density(X).quantile(1.5)),
-    ("calibrator", lambda: cm.DriftMonitor(MONDRIAN)),
-    ("units", lambda: cm.DriftMonitor(cm.SplitConformal(BINS, 0.6).calibrate(P, Y, GROUPS))),
     ("groups", lambda: FITTED.predict_region(X, groups=GROUPS)),
     ("groups", lambda: FITTED.predict(X, groups=GROUPS)),
     ("groups", lambda: tree().fit(X, Y, groups=GROUPS).predict_region(X)),
@@ -188,7 +180,6 @@ def uncalibrated():
     [
         lambda: cm.QuantileBins(5).encode([1.0]),
         lambda: cm.SplitConformal(BINS).predict(P),
-        lambda: cm.DriftMonitor(cm.SplitConformal(BINS)),
         lambda: uncalibrated().predict_region(X),
         lambda: uncalibrated().diagnose(X, Y),
         lambda: cm.QuickDensity().predict_proba(X),

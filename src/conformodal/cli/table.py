@@ -154,10 +154,11 @@ def _draw(density: PredictiveDensity, regions: Regions, y: pd.DataFrame, diagnos
     """Draw sets and density of every target over the rows, from the smallest predicted mean on, beside the coverage."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
 
-    from conformodal.report.tables import draw_coverage, draw_regions, save_picture  # noqa: PLC0415
+    from conformodal.report.tables import coverage_height, draw_coverage, draw_regions, save_picture  # noqa: PLC0415
 
     n_targets = y.shape[1]
-    figure = Figure(figsize=(12, 4 * n_targets), layout="constrained")
+    height = max(4.0, coverage_height(diagnosis))
+    figure = Figure(figsize=(12, height * n_targets), layout="constrained")
     grid = figure.subplots(n_targets, 2, squeeze=False, width_ratios=(3, 2))
     for j, (left, right) in enumerate(grid):
         rank = density.mean[:, j].argsort(kind="stable").argsort()

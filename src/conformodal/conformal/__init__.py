@@ -22,8 +22,6 @@ from .scores import Aps, Density, Lac, MaxIntervals, Score, register_score
 
 if TYPE_CHECKING:
     from .calibrators.conditional import ConditionalConformal
-    from .calibrators.cross import CrossConformal
-    from .calibrators.drift import DriftMonitor
     from .calibrators.mondrian import MondrianConformal
     from .calibrators.online import Aci, OnlineConformal
     from .calibrators.weighted import WeightedConformal
@@ -32,12 +30,9 @@ if TYPE_CHECKING:
     from .doubts import DataWarning
     from .predictive import PredictiveDensity
     from .regressor import ConformalRegressor, NotCalibratedError
-    from .scorers import log_density, region_scorers
 
 _LATE = {  # a camera needs none of these, and scikit-learn takes half a second to import
     ".calibrators.conditional": ("ConditionalConformal",),
-    ".calibrators.cross": ("CrossConformal",),
-    ".calibrators.drift": ("DriftMonitor",),
     ".calibrators.mondrian": ("MondrianConformal",),
     ".calibrators.online": ("Aci", "OnlineConformal"),
     ".calibrators.weighted": ("WeightedConformal",),
@@ -46,15 +41,14 @@ _LATE = {  # a camera needs none of these, and scikit-learn takes half a second 
     ".doubts": ("DataWarning",),
     ".predictive": ("PredictiveDensity",),
     ".regressor": ("ConformalRegressor", "NotCalibratedError"),
-    ".scorers": ("log_density", "region_scorers"),
 }
 __getattr__ = lazy_getattr(__name__, {name: module for module, names in _LATE.items() for name in names})
 
 __all__ = [
     "Aci", "Aps", "ConditionalConformal", "ConformalRegressor", "ConformodalError", "CoverageCheck",
-    "CrossConformal", "DataWarning", "Density", "Diagnosis", "DriftMonitor", "Lac", "MaxIntervals", "MondrianConformal",
-    "NotCalibratedError", "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
+    "DataWarning", "Density", "Diagnosis", "Lac", "MaxIntervals", "MondrianConformal", "NotCalibratedError",
+    "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
     "Regions", "Score", "SplitConformal", "StackedDensity", "WeightedConformal", "check_coverage", "conformal_quantile",
     "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band",
-    "hierarchical_quantile", "log_density", "region_scorers", "register_score",
+    "hierarchical_quantile", "register_score",
 ]  # fmt: skip

@@ -1,26 +1,20 @@
-"""Coverage on test samples, compared with the central band of its exact distribution; the worst strip of the inputs."""
+"""Coverage on test samples, compared with the central band of its exact distribution."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.ranges import Range
 
-from .checks import SHARE, Alpha, as_finite, check_number
+from .checks import SHARE, Alpha, check_number
 from .rank import conformal_rank
 
 _COUNT = Range(0, whole=True)
-# samples that choose the slab, drawn at random; half of all if these are fewer
-_MOST_CHOOSE = 2000
-# random directions, and the least share of the choosing samples in a slab
-_DIRECTIONS, _LEAST_SHARE = 500, 0.2
 
 
 @dataclass(frozen=True)
@@ -108,69 +102,3 @@ def check_coverage(inside: npt.ArrayLike, n_calibration: int, alpha: Alpha, leve
     return CoverageCheck(
         int(held.sum()), held.size, n_calibration, conformal_rank(n_calibration, alpha), low, high, level
     )
-
-
-def strata_of(sizes: FloatArray, most: int = 5) -> list[tuple[str, BoolArray]]:
-    """Samples (n,) in up to five strata of about equal numbers, by the sizes of their sets; equal sizes stay together.
-
-    Source: Angelopoulos, Bates, Malik and Jordan (2021), size-stratified coverage.
-    """
-    values = np.array([float(f"{v:.12g}") for v in sizes])  # sums of the same widths in another order are one size
-    cuts = np.unique(np.sort(values)[(np.arange(1, most) * values.size) // most])
-    stratum = np.searchsorted(cuts, values, side="right")
-    strata = []
-    for rows in (stratum == s for s in np.unique(stratum)):
-        low, high = values[rows].min(), values[rows].max()
-        strata.append((f"{low:.4g} to {high:.4g}" if low < high else f"{low:.4g}", rows))
-    return strata
-
-
-def worst_slab(inside: BoolArray, X: npt.ArrayLike, random_state: Any = 0) -> IntArray:
-    """Samples in the slab of lowest coverage, of the half of the samples that did not choose it.
-
-    A slab is a strip of the inputs `X` (n, p) in any direction; random directions and the axes are searched. The
-    minimum over many slabs is far below the coverage of any one, but the second half is independent of the choice: its
-    coverage has the band of a slab chosen in advance.
-
-    Source: Cauchois, Gupta and Duchi (2021); split in two as by Romano, Sesia and Candes (2020).
-    """
-    from sklearn.utils import check_random_state  # noqa: PLC0415 - half a second to import
-
-    inputs = as_finite(X, "X", "(n, p)")
-    if len(inputs) != len(inside):
-        raise ConformodalError(f"X must have one row per test sample ({len(inside)}), got {len(inputs)}")
-    random, spread = check_random_state(random_state), inputs.std(axis=0)
-    scaled = np.divide(inputs, spread, out=np.zeros_like(inputs), where=spread > 0)
-    first, second = np.split(random.permutation(len(inputs)), [min(len(inputs) // 2, _MOST_CHOOSE)])
-    directions = random.standard_normal((_DIRECTIONS, inputs.shape[1]))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    least = max(1, int(np.ceil(_LEAST_SHARE * first.size)))
-    slabs = []
-    for direction in (*np.eye(inputs.shape[1]), *directions):
-        at = scaled[first] @ direction
-        ranked = np.argsort(at, kind="stable")
-        start, stop = lowest_run(inside[first[ranked]], least)
-        slabs.append((inside[first[ranked[start:stop]]].mean(), at[ranked[start]], at[ranked[stop - 1]], direction))
-    _, low, high, direction = min(slabs, key=lambda slab: slab[0])
-    at = scaled[second] @ direction
-    return np.asarray(second[(low <= at) & (at <= high)])
-
-
-def lowest_run(values: AnyArray, least: int) -> tuple[int, int]:
-    """Start and stop of the run of at least `least` values with the smallest mean, exactly.
-
-    Dinkelbach's iteration: for a guess of the mean, the run whose sum falls furthest below it gives the next guess.
-    """
-    total = np.concatenate(([0.0], np.cumsum(values, dtype=np.float64)))
-    steps = np.arange(total.size)
-    start, stop = 0, values.size
-    while True:
-        mean = (total[stop] - total[start]) / (stop - start)
-        excess = total - mean * steps
-        highest = np.maximum.accumulate(excess[: total.size - least])
-        gain = excess[least:] - highest
-        at = int(gain.argmin())
-        if gain[at] >= -1e-9:
-            return start, stop
-        stop = at + least
-        start = int(excess[: at + 1].argmax())

@@ -9,34 +9,37 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.core.arrays import BoolArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.words import counted
 
 from .calibrators.base import Joint
 from .calibrators.mondrian import MondrianConformal
 from .calibrators.split import SplitConformal
-from .checks import Alpha, Probabilities, as_labels, as_targets, factorise
-from .coverage import CoverageCheck, check_coverage, grouped_coverage_band, strata_of, worst_slab
+from .checks import SHARE, Alpha, Probabilities, as_labels, as_targets, check_number, factorise
+from .coverage import CoverageCheck, check_coverage, grouped_coverage_band
 from .regions import Regions
 
 _ASSUMPTION = (
-    "A band holds if the calibration and test samples{of_each_group} are exchangeable (split at random, say), neither "
-    "was learnt from, and scores have no ties. Even then coverage lies outside its {level} band with probability up to "
-    "{chance}{of_any}. Outside, at least one of these assumptions is likely violated. For samples in a sequence, such "
-    "as frames of a video, coverage is an observation, not a guarantee."
+    "{bands} if the calibration and test samples{of_each_group} are exchangeable (split at random, say), neither was "
+    "learnt from, and scores have no ties. Outside, at least one of these assumptions is likely violated. For samples "
+    "in a sequence, such as frames of a video, coverage is an observation, not a guarantee."
 )
-_NOT_BY_PARTS = (
-    " Nothing is guaranteed for a size, a group or a slab by itself: outside its band, sets are too small (BELOW) or "
-    "too large (above) in this part by more than chance explains; for groups, MondrianConformal mends that."
+_NOT_BY_GROUP = (
+    " Nothing is guaranteed for a group by itself: outside its band, its sets are too small (BELOW) or too large "
+    "(above) by more than chance explains; MondrianConformal mends that."
 )
+_EMPTY = (
+    " An empty set counts as a miss: no value of its row is as likely as a set demands; the best guess is `predict`."
+)
+_SHOWN = 10  # groups, the furthest below their bands first
 
 
 @dataclass(frozen=True)
 class SizeSummary:
     """Sizes of one target's sets."""
 
-    mean: float  # length in the target's unit, inf if a set is unbounded
+    mean: float  # length of the bounded sets in the target's unit; inf if there are none
     median: float
     q90: float
     intervals: float  # mean number of disjoint intervals
@@ -51,7 +54,10 @@ def summarise_sizes(regions: Regions) -> list[SizeSummary]:
     counts, lengths = regions.n_intervals, regions.length
     ranked = np.sort(lengths, axis=0)[at]
     shares = [(counts > 1).mean(axis=0), (counts == 0).mean(axis=0), regions.unbounded.mean(axis=0)]
-    columns = np.array([lengths.mean(axis=0), *ranked, counts.mean(axis=0), *shares])
+    bounded = ~regions.unbounded
+    total = np.where(bounded, lengths, 0).sum(axis=0)
+    means = np.divide(total, bounded.sum(axis=0), out=np.full(total.shape, np.inf), where=bounded.any(axis=0))
+    columns = np.array([means, *ranked, counts.mean(axis=0), *shares])
     return [SizeSummary(*values) for values in columns.T.tolist()]
 
 
@@ -61,11 +67,20 @@ class ColumnDiagnosis:
 
     name: str  # of the target, or "all targets"
     coverage: CoverageCheck  # of all test samples
-    parts: dict[str, CoverageCheck]  # of strata of sizes, of groups, and of the worst slab of the inputs
+    parts: dict[str, CoverageCheck]  # of groups
 
     def rows(self) -> list[tuple[str, CoverageCheck]]:
-        """All coverages, each with its label."""
-        return [("all samples", self.coverage), *self.parts.items()]
+        """The coverage of all samples and of each group with its label: of many, the ten that cover least."""
+        ranked = sorted(self.parts, key=lambda label: self.parts[label].coverage - self.parts[label].low)
+        shown = self.parts if len(ranked) <= _SHOWN + 1 else ranked[:_SHOWN]
+        return [("all samples", self.coverage), *((label, self.parts[label]) for label in shown)]
+
+    def rest(self) -> str:
+        """What :meth:`rows` leaves out, in words; nothing if that is nothing."""
+        shown = dict(self.rows())
+        others = [check for label, check in self.parts.items() if label not in shown]
+        inside = sum(check.inside for check in others)
+        return f"{len(others)} others: {inside} within their bands" if others else ""
 
 
 @dataclass(frozen=True)
@@ -79,6 +94,7 @@ class Diagnosis:
     joint_coverage : share of test samples whose targets are all in their sets
     alpha, joint, score, n_calibration, n_test : of the calibration and the test
     within_groups : whether coverage is guaranteed within each group
+    level : probability with which all bands hold at once
     """
 
     columns: tuple[ColumnDiagnosis, ...]
@@ -91,6 +107,12 @@ class Diagnosis:
     n_calibration: int
     n_test: int
     within_groups: bool
+    level: float
+
+    @property
+    def n_bands(self) -> int:
+        """Number of all bands."""
+        return sum(1 + len(column.parts) for column in self.columns)
 
     def __str__(self) -> str:
         lines = [
@@ -99,25 +121,26 @@ class Diagnosis:
             "",
         ]
         width = max([12, *map(len, self.names)])
-        lines.append(f"{'sets':{width}}  mean length  median  90th pct  intervals  split  empty  whole line")
+        lines.append(f"{'sets':{width}}  mean length  median  90th pct  intervals  split  empty  unbounded")
         for name, s in zip(self.names, self.sizes, strict=True):
             lines.append(
                 f"{name:{width}}  {s.mean:11.4g}  {s.median:6.4g}  {s.q90:8.4g}  {s.intervals:9.2f}  "
-                f"{_percent(s.split):>5}  {_percent(s.empty):>5}  {_percent(s.unbounded):>10}"
+                f"{_percent(s.split):>5}  {_percent(s.empty):>5}  {_percent(s.unbounded):>9}"
             )
+        if any(0 < s.unbounded < 1 for s in self.sizes):
+            lines.append("The mean length is that of the bounded sets.")
         for column in self.columns:
-            lines += ["", *_table(column)]
+            lines += ["", *_table(column, self.level)]
         if len(self.names) > 1 and self.joint != "max":  # with max, the coverage above is of all targets
             least = "" if self.joint == "none" else f" (guaranteed on average: at least {1 - float(self.alpha):.4g})"
             lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{least}."]
-        level, n_bands = self.columns[0].coverage.level, len(self.columns)
-        assumption = _ASSUMPTION.format(
+        bands = f"All {self.n_bands} bands hold at once" if self.n_bands > 1 else "The band holds"
+        caveat = _ASSUMPTION.format(
+            bands=f"{bands} with probability {100 * self.level:g} %",
             of_each_group=" of each group" if self.within_groups else "",
-            level=f"{100 * level:g} %",
-            chance=f"{1 - level:.2g}",
-            of_any=f" (one of {n_bands}: up to {min(1.0, n_bands * (1 - level)):.2g})" if n_bands > 1 else "",
         )
-        caveat = assumption if self.within_groups else assumption + _NOT_BY_PARTS
+        grouped = any(column.parts for column in self.columns)
+        caveat += _NOT_BY_GROUP * (grouped and not self.within_groups) + _EMPTY * any(s.empty for s in self.sizes)
         return "\n".join([*lines, "", *textwrap.wrap(caveat, 110)])
 
 
@@ -125,21 +148,20 @@ def _percent(share: float) -> str:
     return "<1%" if 0 < share < 0.005 else f"{share:.0%}"
 
 
-def _table(column: ColumnDiagnosis) -> list[str]:
+def _table(column: ColumnDiagnosis, level: float) -> list[str]:
     rows = column.rows()
     width = max(len(label) for label, _ in rows)
-    lines = [f"coverage of {column.name}", f"  {'':{width}}  samples  coverage  {100 * rows[0][1].level:g}% band"]
+    lines = [f"coverage of {column.name}", f"  {'':{width}}  samples  coverage  {100 * level:g}% band"]
     for label, c in rows:
         mark = "within" if c.inside else "BELOW" if c.coverage < c.low else "above"
         lines.append(f"  {label:{width}}  {c.n_test:7d}  {c.coverage:8.3f}  [{c.low:.3f}, {c.high:.3f}]  {mark}")
-    return lines
+    return [*lines, *filter(None, [column.rest()])]
 
 
 def diagnose(
     calibrator: SplitConformal | MondrianConformal,
     proba: Probabilities,
     y: npt.ArrayLike,
-    X: npt.ArrayLike | None = None,
     groups: npt.ArrayLike | None = None,
     level: float = 0.99,
 ) -> Diagnosis:
@@ -151,13 +173,11 @@ def diagnose(
         Calibrated.
     proba, y
         Of the test samples: (n, d, K) or a list of d arrays (n, K_d); true values (n, d), or (n,) for one target.
-    X
-        (n, p) inputs, to search for the worst slab.
     groups
         (n,) labels, to check group by group. A :class:`~conformodal.conformal.MondrianConformal` needs them: bands are
-        then those of its groups, and neither sizes nor slabs are checked.
+        then those of its groups.
     level
-        Probability of every band.
+        Probability with which all bands hold at once, by Bonferroni's inequality.
 
     Examples
     --------
@@ -179,10 +199,13 @@ def diagnose(
         regions = calibrator.predict(proba, groups)
     inside = regions.contains(values)
     names = tuple(calibrator.bins.names or [f"target {j}" for j in range(values.shape[1])])
-    guarantees = zip(names, inside.T, regions.length.T, strict=True)
+    guarantees = zip(names, inside.T, strict=True)
     if calibrator.joint == "max":
-        guarantees = zip(["all targets"], [inside.all(axis=1)], [regions.volume], strict=True)
-    columns = tuple(_column(calibrator, *guarantee, X, groups, level) for guarantee in guarantees)
+        guarantees = zip(["all targets"], [inside.all(axis=1)], strict=True)
+    labels, codes = ([], None) if groups is None else factorise(as_labels(groups, len(values)))
+    n_bands = (1 if calibrator.joint == "max" else len(names)) * (1 + len(labels))
+    each = 1 - (1 - check_number(level, "level", SHARE)) / n_bands
+    columns = tuple(_column(calibrator, *guarantee, labels, codes, each) for guarantee in guarantees)
     return Diagnosis(
         columns,
         names,
@@ -194,16 +217,16 @@ def diagnose(
         len(calibrator.scores_),
         len(values),
         isinstance(calibrator, MondrianConformal),
+        level,
     )
 
 
 def _column(
-    calibrator: Any, name: str, held: BoolArray, sizes: FloatArray, X: Any, groups: Any, level: float
+    calibrator: Any, name: str, held: BoolArray, labels: list[Any], codes: Any, level: float
 ) -> ColumnDiagnosis:
-    """Checks of a guarantee on test samples (n,); where it is not one of groups, also by size and slab."""
+    """Checks of a guarantee on test samples (n,), each beside a band of probability `level`."""
     n_calibration, law = len(calibrator.scores_), (calibrator.alpha_per_target, level)
     whole = check_coverage(held, n_calibration, *law)
-    labels, codes = ([], None) if groups is None else factorise(as_labels(groups, held.size))
     of_group = getattr(calibrator, "sizes_", dict.fromkeys(labels, n_calibration))
     by_group = {
         f"group {label}": check_coverage(held[codes == k], of_group.get(label, 0), *law)
@@ -213,8 +236,4 @@ def _column(
         pairs = [(check.n_calibration, check.n_test) for check in by_group.values()]
         low, high = grouped_coverage_band(pairs, *law)
         return ColumnDiagnosis(name, replace(whole, low=low, high=high), by_group)
-    parts = {f"size {label}": check_coverage(held[rows], n_calibration, *law) for label, rows in strata_of(sizes)}
-    parts |= by_group
-    if X is not None and (rows := worst_slab(held, X)).size:
-        parts["worst slab, other samples"] = check_coverage(held[rows], n_calibration, *law)
-    return ColumnDiagnosis(name, whole, parts)
+    return ColumnDiagnosis(name, whole, by_group)

@@ -41,7 +41,7 @@ from .checks import (
     factorise,
     not_calibrated,
 )
-from .density.encoder import dense_inputs, is_frame, named_targets, rows_of
+from .density.encoder import is_frame, named_targets, rows_of
 from .density.learners import as_learner, fit_target, predict_proba, split_off, split_units
 from .density.mixture import as_sample_weight
 from .diagnosis import Diagnosis, diagnose
@@ -322,8 +322,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         :func:`~conformodal.conformal.diagnose`.
         """
         proba = self.predict_bins(X)
-        features, values, _ = self._table(X, y)
-        return diagnose(self._calibrated(), proba, values, dense_inputs(features), groups, level=level)
+        values = self._table(X, y)[1]
+        return diagnose(self._calibrated(), proba, values, groups, level)
 
     def save(self, path: str | Path) -> None:
         """Write the regressor into a file, with the extra ``save``: skops, which needs no pickle.

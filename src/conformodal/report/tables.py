@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,13 @@ with require_extra("figures", "a picture of regions or coverage"):
     from matplotlib.axes import Axes
     from matplotlib.collections import PolyCollection
     from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter
 
 _SET, _INSIDE, _OUTSIDE = "#56B4E9", "#0072B2", "#D55E00"
 _DARKEST = 0.98  # quantile of the densities that is drawn darkest: narrow bins have peaks
 _MARGIN = 0.05
+_LARGE = 1e4  # values from here on have k, M or G on their axis
+_INCHES_PER_ROW, _LONGEST = 0.28, 32  # of a coverage, and characters of its label
 
 
 def draw_regions(
@@ -49,14 +53,14 @@ def draw_regions(
     target
         Number of the target.
     ax
-        Axes to draw on; None makes a new figure, ``ax.figure``.
+        Axes to draw on; None makes a new figure, ``ax.figure``, which is pyplot's if pyplot is in use.
     """
     n = len(regions)
     at = np.arange(n, dtype=np.float64) if x is None else as_finite(x, "x", "(n,)")
     for name, given in (("x", at), ("density", at if density is None else density)):
         if len(given) != n or n == 0:
             raise ConformodalError(f"{name} and regions must be of the same samples, got {len(given)} and {n}")
-    ax = Figure(layout="constrained").subplots() if ax is None else ax
+    ax = _new_figure().subplots() if ax is None else ax
     order, edges = np.argsort(at, kind="stable"), regions.bins.edges_[target]
     middles = (at[order][1:] + at[order][:-1]) / 2
     half = np.ptp(at) / (2 * n) or 0.5
@@ -73,8 +77,9 @@ def draw_regions(
         ax.pcolormesh(ends, cells, shade, cmap="Greys", vmin=0, vmax=darkest, zorder=0, rasterized=True)
     corners = np.stack([np.column_stack(c) for c in ((left, low), (left, high), (right, high), (right, low))], axis=1)
     endless = np.isinf(intervals).any(axis=1)
-    for rows, hatch in ((~endless, None), (endless, "///")):
+    for rows, hatch, label in ((~endless, None, "set"), (endless, "///", "unbounded set")):
         look: Any = {"facecolors": _SET, "alpha": 0.55, "linewidths": 0, "antialiaseds": False, "hatch": hatch}
+        look["label"] = label
         if rows.any():
             ax.add_collection(PolyCollection(list(corners[rows]), **look))
     if y is not None:
@@ -88,11 +93,15 @@ def draw_regions(
     ax.set(xlim=(ends[0], ends[-1]), ylim=(values.min() - reach, values.max() + reach))
     ax.set_xlabel("row" if x is None else str(getattr(x, "name", None) or "feature"))
     ax.set_ylabel(str(regions.bins.names[target] if regions.bins.names else f"target {target}"))
+    for axis, ends in ((ax.xaxis, at), (ax.yaxis, values)):
+        if np.abs(ends).max() >= _LARGE:
+            axis.set_major_formatter(EngFormatter(sep=""))
+    ax.legend(loc="best", fontsize="small", markerscale=2)
     return ax
 
 
 def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None) -> Axes:
-    """Draw one guarantee's coverage, of all samples, by size and by group, beside its bands.
+    """Draw one guarantee's coverage, of all samples and by group, beside its bands; of many groups the ten lowest.
 
     Parameters
     ----------
@@ -101,20 +110,33 @@ def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None)
     column
         Number of the guarantee: of the target, or 0 with ``joint="max"``.
     ax
-        Axes to draw on; None makes a new figure, ``ax.figure``.
+        Axes to draw on; None makes a new figure, ``ax.figure``, which is pyplot's if pyplot is in use.
     """
     guarantee = diagnosis.columns[column]
-    ax = Figure(layout="constrained").subplots() if ax is None else ax
+    ax = _new_figure(figsize=(7, coverage_height(diagnosis, column))).subplots() if ax is None else ax
     rows, whole = guarantee.rows()[::-1], guarantee.coverage
     for i, (_, check) in enumerate(rows):
         ax.barh(i, check.high - check.low, left=check.low, height=0.6, color=_SET, alpha=0.5)
         ax.plot(check.coverage, i, "o" if check.inside else "X", color=_INSIDE if check.inside else _OUTSIDE)
     ax.axvline(whole.rank / (whole.n_calibration + 1), color="black", lw=0.8, ls="--")
-    ax.set_yticks(range(len(rows)), [f"{label} ({check.n_test})" for label, check in rows])
+    short = [(label if len(label) <= _LONGEST else f"{label[:_LONGEST]}…", check) for label, check in rows]
+    ax.set_yticks(range(len(rows)), [f"{label} ({check.n_test})" for label, check in short])
     ax.set_xlim(right=1.005)
-    ax.set_xlabel(f"coverage; bars are {whole.level:.0%} bands, crosses lie outside")
-    ax.set_title(f"coverage of {guarantee.name}", fontsize="medium")
+    ax.set_xlabel("\n".join(filter(None, ["coverage (bars: bands, crosses: outside)", guarantee.rest()])))
+    together = f"{diagnosis.level:.0%} band" + ("s, all at once" if diagnosis.n_bands > 1 else "")
+    ax.set_title(f"{guarantee.name}: coverage and {together}", fontsize="medium")
     return ax
+
+
+def coverage_height(diagnosis: Diagnosis, column: int = 0) -> float:
+    """Inches that the picture of a guarantee's coverage needs."""
+    return 1.6 + _INCHES_PER_ROW * len(diagnosis.columns[column].rows())
+
+
+def _new_figure(**options: Any) -> Figure:
+    """A figure of pyplot where that is in use, for ``plt.savefig``; elsewhere one that nothing keeps in memory."""
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    return (Figure if pyplot is None else pyplot.figure)(layout="constrained", **options)
 
 
 def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figure:
@@ -123,8 +145,8 @@ def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figu
     For an example see ``docs/tutorial.md``. `path` is where to write it, if anywhere; the suffix says as what
     (``.svg``, ``.png``, ``.pdf``).
     """
-    heights = [1.2 + 0.28 * len(column.rows()) for column in diagnosis.columns]
-    figure = Figure(figsize=(8, sum(heights) + 1.2), layout="constrained")
+    heights = [coverage_height(diagnosis, j) for j in range(len(diagnosis.columns))]
+    figure = _new_figure(figsize=(8, sum(heights) + 1.2))
     axes = figure.subplots(len(heights), squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
     for j, ax in enumerate(axes):
         draw_coverage(diagnosis, j, ax)

@@ -44,7 +44,7 @@ def test_rows_that_the_scales_have_seen_do_not_calibrate(problem, kind, extra):
 @settings(deadline=None, max_examples=40)
 @given(st.integers(0, 10_000), st.sampled_from(SCORES))
 @example(130, "lac")  # so many values outside the edges that one target's threshold is infinite, the other's not
-def test_one_group_equal_weights_and_one_fold_are_split_conformal(problem, seed, score):
+def test_one_group_and_equal_weights_are_split_conformal(problem, seed, score):
     bins, proba, y = problem(seed, n=80)
     split = cm.SplitConformal(bins, 0.2, score).calibrate(proba[:40], y[:40]).predict(proba[40:])
     same = np.full(40, 0.1)
@@ -52,7 +52,6 @@ def test_one_group_equal_weights_and_one_fold_are_split_conformal(problem, seed,
         cm.MondrianConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict(proba[40:], same),
         cm.WeightedConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict(proba[40:], same),
         cm.ConditionalConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict(proba[40:], same),
-        cm.CrossConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict({0.1: proba[40:]}),
     ]
     for other in others:
         np.testing.assert_array_equal(other.unbounded, split.unbounded)
@@ -111,18 +110,17 @@ def test_scores_that_differ_by_rounding_are_tied(dtype, score, joint):
     bins = cm.QuantileBins.from_edges([np.arange(7.0)])
     exact = np.tile(rng.dirichlet(np.ones(6)), (200, 1)).astype(dtype)
     rounded = exact * (1 + 4 * np.finfo(dtype).eps * rng.uniform(-1, 1, exact.shape)).astype(dtype)
-    y, groups, folds = rng.choice(6, 200, p=exact[0] / exact[0].sum(dtype=float)) + 0.5, np.ones(200), np.zeros(200)
+    y, groups = rng.choice(6, 200, p=exact[0] / exact[0].sum(dtype=float)) + 0.5, np.ones(200)
     kinds = [
         (cm.SplitConformal, (), ()), (cm.MondrianConformal, (groups,), (groups,)),
         (cm.WeightedConformal, (groups,), (groups,)), (cm.ConditionalConformal, (groups,), (groups,)),
-        *([(cm.CrossConformal, (folds,), None)] if joint == "none" else []),
     ]  # fmt: skip
     for kind, calibrated, asked in kinds:
         sets = []
         for proba in (exact, rounded):
             cal = kind(bins, 0.3, score, joint).set_scale(0.3, 0.1).calibrate(proba, y, *calibrated)
             for new in (exact, rounded):
-                sets.append(cal.predict({0.0: new} if asked is None else new, *(asked or ())).masks[0])
+                sets.append(cal.predict(new, *asked).masks[0])
         for mask in sets[1:]:
             np.testing.assert_array_equal(mask, sets[0])
 
