@@ -13,7 +13,6 @@ from conformodal.features.settings import TrainingConfig
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.evaluate import RegionStatistics, coverage_table, error_table
 from conformodal.pipeline.store import save_model
-from conformodal.report.figures import plan_figure
 
 # Random frames are held out, so that chance alone decides the coverage; the default holds out stretches.
 CONFIG = ModelConfig(split="interleaved")
@@ -32,14 +31,13 @@ def train_and_look(data: Path, config: ModelConfig, out: Path) -> None:
     print(f"{sequence.image_paths[run.frames[most]].name}: its region has {n_boxes[most]} boxes; every combination of")
     for axis, parts in zip("xyz", run.regions.intervals(most)[:3], strict=True):
         print(f"  {axis}: " + " or ".join(f"{low:.2f} to {high:.2f} m" for low, high in parts))
-    (out / "region.svg").write_text(plan_figure(run.regions, run.trajectory, most, truth), encoding="utf-8")
 
     statistics = RegionStatistics.of(run.regions, truth, model.sign_reference, run.kinds)
     held = coverage_table(statistics, model, exchangeable=True)  # frames were held out at random
     low, high = held["joint_band_99"]
     print(f"covered: {held['joint_coverage']:.3f} of {len(truth)} frames; {low:.3f} to {high:.3f} by chance alone")
     print(f"path: {error_table({'': run.trajectory}, truth)['']['rmse_m']:.3f} m (RMSE)")
-    print(f"model and picture: {out}")
+    print(f"model: {out / 'model'}")
 
 
 if __name__ == "__main__":

@@ -21,8 +21,10 @@ from conformodal.core.words import counted
 from conformodal.geometry import Trajectory
 from conformodal.io.pose_files import read_tum
 from conformodal.pipeline.results import ResultsError, read_region_records, read_trajectories
-from conformodal.report.figures import COLOURS, as_label, as_svg
+from conformodal.report.figures import as_label, as_svg
 
+# those of Okabe and Ito, which colour-blind people can tell apart; truth is black and dashed as well
+COLOURS = {"region": "#56B4E9", "smoothed": "#0072B2", "classical": "#D55E00", "truth": "#000000", "wall": "#888888"}
 _PNG_DPI = 150
 _REACH = 1.15  # how far beyond the truth's own range a panel shows
 _OUTSIDE = "#BBBBBB"  # bins that are not in the set

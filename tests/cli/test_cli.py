@@ -10,6 +10,7 @@ import pytest
 import typer
 
 from conformodal.cli import info as info_module
+from conformodal.cli.console import Command
 from conformodal.cli.main import COMMANDS, app
 from conformodal.io import read_recording
 from conformodal.io.pose_files import read_tum
@@ -34,7 +35,10 @@ def test_help_of_every_verb_explains_every_option():
     assert list(verbs) == list(COMMANDS)
     verbs |= {f"data {name}": verb for name, verb in verbs.pop("data").commands.items()}
     for name, verb in verbs.items():
-        assert invoke(*name.split(), "--help").exit_code == 0
+        shown = invoke(*name.split(), "--help")
+        assert shown.exit_code == 0
+        assert "<bool>" not in shown.output
+        assert isinstance(verb, Command)  # which refuses an option given twice
         for parameter in verb.params:
             record = parameter.get_help_record(typer.Context(verb))
             assert record, f"{name} hides {parameter.name}"
@@ -44,6 +48,15 @@ def test_help_of_every_verb_explains_every_option():
         [sys.executable, "-m", "conformodal", "--version"], capture_output=True, text=True, check=True
     )
     assert invoke("--version").output == found.stdout == f"{version('conformodal')}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"), [("tabel", "'table'"), ("data chekc", "'check'"), ("train a --split x", "'x' is not one of")]
+)
+def test_what_is_mistyped_is_told_with_what_was_meant(words, meant):
+    shown = refusal(*words.split())
+    assert meant in shown
+    assert "Value error" not in shown
 
 
 def test_run_writes_everything(results):

@@ -41,6 +41,9 @@ REFUSED = [
     ("run", "--save=file", "--save"),
     ("run", "--save=source.mcap", "source.mcap"),
     ("run", "--save-images", "--save-images"),
+    ("run", "--save=a.mcap --save=b.rrd", "given twice"),
+    ("run", "--view --view", "given twice"),
+    ("train", "--splitt=blocks", "--split"),
     ("run", "--save=v.rrd --save-images", "--save-images"),
 ]
 
@@ -49,8 +52,9 @@ REFUSED = [
 def test_what_cannot_be_is_refused_before_the_work(tmp_path, monkeypatch, command, options, named):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("mine")
-    cache = ["--cache", "cache"] if command == "train" else []
-    result = invoke(*COMMANDS[command].split(), *cache, *options.split())
+    words = COMMANDS[command].replace("--out out", "") if "--out" in options else COMMANDS[command]
+    cache = ["--cache", "cache"] if command == "train" and "--cache" not in options else []
+    result = invoke(*words.split(), *cache, *options.split())
     assert result.exit_code == 2, (result.output, result.exception)
     assert named in result.stderr
     assert "Traceback" not in result.output

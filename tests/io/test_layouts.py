@@ -224,7 +224,7 @@ def test_real_data_are_recognised_and_read(real_data):
 def test_folders_in_no_layout_or_in_two_are_named(tmp_path):
     with pytest.raises(DatasetError, match=r"7scenes: frame-NNNNNN.*kitti: image_0"):
         recognise(tmp_path)
-    with pytest.raises(DatasetError, match="no such folder"):
+    with pytest.raises(DatasetError, match="no such file or folder"):
         recognise(tmp_path / "nowhere")
     (tmp_path / "rgb.txt").write_text("")
     (tmp_path / "frame-000000.color.png").write_text("")

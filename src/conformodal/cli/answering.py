@@ -30,7 +30,7 @@ from conformodal.pipeline.model import HINDSIGHT, ONLINE, PoseModel
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import ResultsWriter, record_bounded, write_metrics, write_region_parquet
 from conformodal.pipeline.stream import StreamRunner
-from conformodal.report.page import METHOD_LABELS, PAGE, PageFigure, write_page
+from conformodal.report.page import METHOD_LABELS, PAGE, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
 
 from .console import report_line
@@ -190,7 +190,6 @@ def write_answers(
     metrics: dict[str, Any],
     title: str,
     summary: list[str],
-    figures: Sequence[PageFigure] = (),
     walls: Sequence[FloatArray] = (),
 ) -> None:
     """Write metrics, Parquet where it can be written, and the page."""
@@ -201,7 +200,7 @@ def write_answers(
     level = answers.model.rules.level
     unit = metrics["configuration"]["unit"]
     viewer = make_viewer(records, answers.trajectories, runner.truth, answers.pictures, level, walls, unit)
-    write_page(folder / PAGE, title, summary, metrics, figures, viewer)
+    write_page(folder / PAGE, title, summary, metrics, viewer)
 
 
 def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:

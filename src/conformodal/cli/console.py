@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import signal
 import sys
@@ -11,13 +12,16 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from types import FrameType
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TimeElapsedColumn, TimeRemainingColumn
+from typer.core import TyperCommand, TyperGroup
 
 from conformodal.core.errors import ConformodalError
 from conformodal.core.progress import StageProgress
@@ -27,12 +31,87 @@ BAD_INPUT, BROKE_OFF, REFUSED, OWN_FAULT = 2, 3, 4, 70
 SHOW_ALL = "CONFORMODAL_DEBUG"  # set in the environment, it shows the traceback of an error of this program
 # click's ClickException, of which newer versions of Typer have a copy
 _USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__mro__[2])
-_LOG, _LOG_EVERY_S = "progress.log", 10.0
+_LOG, _REPORT_EVERY_S = "conformodal.log", 10.0
 _STOPPING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+_OUTPUT = "Output"
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print warnings alone.", rich_help_panel=_OUTPUT)]
+Verbose = Annotated[bool, typer.Option("--verbose", help="Print all findings.", rich_help_panel=_OUTPUT)]
+AsJson = Annotated[
+    bool,
+    typer.Option("--json", help="Print the metrics as JSON; lines go to stderr.", rich_help_panel=_OUTPUT),
+]
 
 
 class OptionError(ConformodalError):
     """An option that cannot be used, or contradicts another."""
+
+
+@dataclass
+class _Terminal:
+    """How the command under way prints."""
+
+    quiet: bool = False
+    verbose: bool = False
+    as_json: bool = False
+    lines: list[str] = field(default_factory=list)  # of this command, shown or not
+    log: Path | None = None  # gets these lines
+
+    def begin(self, params: dict[str, Any]) -> None:
+        """Forget the command before, and take the options of a new one."""
+        self.quiet, self.verbose, self.as_json = (bool(params.get(name)) for name in ("quiet", "verbose", "as_json"))
+        self.lines, self.log = [], None
+
+    def write(self, line: str) -> None:
+        """Keep a line for the log, or append it; a log that cannot be written stops no work."""
+        self.lines.append(line)
+        if self.log is not None:
+            with suppress(OSError), self.log.open("a", encoding="utf-8") as file:
+                file.write(f"{line}\n")
+
+    def log_to(self, path: Path) -> None:
+        """Begin a log, with the lines until now."""
+        with suppress(OSError):
+            path.write_text("".join(f"{line}\n" for line in self.lines), encoding="utf-8")
+            self.log = path
+
+
+_terminal = _Terminal()
+
+
+class ShortHelp:
+    """Commands and groups whose help has no type beside a flag, and spaces between choices, for lines to break at."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """The parameters, ``--help`` among them."""
+        params = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if getattr(param, "is_flag", False):
+                param.metavar = ""
+            elif isinstance(param.default, StrEnum):
+                param.metavar = " | ".join(type(param.default))
+        return params  # type: ignore[no-any-return]
+
+
+class Group(ShortHelp, TyperGroup):
+    """A group of commands."""
+
+
+class Command(ShortHelp, TyperCommand):
+    """A command that refuses an option given twice, unless it is repeatable, and heeds those of the terminal."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments, after a look at how often each is given."""
+        order: list[Any] = list(self.make_parser(ctx).parse_args(args=list(args))[2])
+        for param in order:
+            if order.count(param) > 1 and not getattr(param, "multiple", False):
+                raise typer.BadParameter("is given twice, but takes one value", ctx=ctx, param=param)
+        return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command with its options for the terminal."""
+        _terminal.begin(ctx.params)
+        return super().invoke(ctx)
 
 
 def plain(text: str) -> str:
@@ -40,25 +119,37 @@ def plain(text: str) -> str:
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
-def report_line(text: str, *, bold: bool = False) -> None:
-    """One line of the result, however long; in bold, what a user must see.
+def report_line(text: str, *, bold: bool = False, detail: bool = False) -> None:
+    """One line of the result, however long; in bold, what a user must see; details are for ``--verbose``.
 
     Where the reader closes the pipe, as ``head`` does, the work goes on and nothing more is printed.
     """
     line = plain(text)
+    _terminal.write(line)
+    if (_terminal.quiet and not bold) or (detail and not _terminal.verbose):
+        return
     try:
-        typer.echo(typer.style(line, bold=True) if bold else line)
+        typer.echo(typer.style(line, bold=True) if bold else line, err=_terminal.as_json)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def report_error(text: str) -> None:
     """One line on stderr."""
+    _terminal.write(f"error: {plain(text)}")
     typer.echo(typer.style("error: ", fg="red", bold=True) + plain(text), err=True)
 
 
+def print_json(metrics: dict[str, Any]) -> None:
+    """The metrics on stdout, if they are asked for."""
+    if _terminal.as_json:
+        typer.echo(json.dumps(metrics, indent=1))
+
+
 def print_where(folder: Path) -> None:
-    """The last line: where the results are."""
+    """The last lines: where the log and the results are."""
+    if _terminal.log is not None:
+        report_line(f"log: {_terminal.log.resolve()}")
     report_line(f"results: {folder.resolve()}")
 
 
@@ -78,23 +169,25 @@ def warning_lines(category: type[Warning], report: Callable[[str], None] = repor
 
 @contextmanager
 def progress_bars(folder: Path | None = None) -> Iterator[StageProgress]:
-    """One bar per stage; in a folder, ``progress.log`` gets a line with the stage under way every ten seconds."""
+    """One bar per stage; without a terminal, and in the log of a folder, the stage under way every ten seconds."""
     columns = ("{task.description:>12}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    logged_at, mode = time.monotonic(), "w"
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    reported_at, console = time.monotonic(), Console(stderr=True)
+    if folder is not None:
+        _terminal.log_to(folder / _LOG)
+    with Progress(*columns, console=console, disable=_terminal.quiet or not console.is_terminal) as progress:
         tasks: dict[str, TaskID] = {}
 
         def report(stage: str, done: int, total: int) -> None:
-            nonlocal logged_at, mode
+            nonlocal reported_at
             if stage not in tasks:
                 tasks[stage] = progress.add_task(stage)
             progress.update(tasks[stage], completed=done, total=total or None)
-            if folder is not None and time.monotonic() > logged_at + _LOG_EVERY_S:
-                logged_at = time.monotonic()
-                # a log that cannot be written stops no work
-                with suppress(OSError), (folder / _LOG).open(mode, encoding="utf-8") as file:
-                    file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {stage} {done}/{total}\n")
-                    mode = "a"
+            if time.monotonic() > reported_at + _REPORT_EVERY_S:
+                reported_at = time.monotonic()
+                line = f"{time.strftime('%Y-%m-%d %H:%M:%S')} {stage} {done}/{total or '?'}"
+                _terminal.write(line)
+                if not (_terminal.quiet or console.is_terminal):
+                    typer.echo(line, err=True)
 
         yield report
 
@@ -108,7 +201,10 @@ def report_errors() -> Iterator[None]:
     with stopping() as signals:
         try:
             yield
-        except (typer.Exit, typer.Abort, _USAGE_ERROR):
+        except (typer.Exit, typer.Abort):
+            raise
+        except _USAGE_ERROR as exc:
+            exc.message = exc.message.removeprefix("Value error, ")  # type: ignore[attr-defined]
             raise
         except KeyboardInterrupt:
             report_error("interrupted; what was computed until now is kept")

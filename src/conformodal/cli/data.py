@@ -28,7 +28,7 @@ from conformodal.pipeline.store import load_model, model_digest
 from conformodal.quality.advice import quality_record
 from conformodal.quality.examining import examine, scene_depth
 
-from .console import OptionError, print_where, progress_bars, report_line
+from .console import AsJson, Group, OptionError, Quiet, print_json, print_where, progress_bars, report_line
 from .sources import (
     AllData,
     Cache,
@@ -43,7 +43,7 @@ from .sources import (
     report_notes,
 )
 
-app = typer.Typer(help="Check or convert a data set.", no_args_is_help=True)
+app = typer.Typer(cls=Group, help="Check or convert a data set.", no_args_is_help=True, add_completion=False)
 _FINDINGS = 1  # exit code
 
 
@@ -62,6 +62,8 @@ def check(
     ] = None,
     cache: Cache = None,
     focal: Focal = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Print what a data set holds, what is wrong with it (exit code 1 if anything is), and what is missing."""
     with nullcontext() if out is None else lock_output(out, "data", apart=folders):
@@ -100,6 +102,7 @@ def check(
             write_metrics(out, record)
             write_quality_page(out, quality if useful else None, record, findings)
             print_where(out)
+    print_json(record)
     if any(finding.wrong for finding in checked.findings):
         raise typer.Exit(_FINDINGS)
 

@@ -12,9 +12,9 @@ import typer
 
 from conformodal.core.files import write_whole
 from conformodal.core.progress import StageProgress, stage_of
-from conformodal.core.words import counted, noun_for
+from conformodal.core.words import counted
 from conformodal.corridor import write_corridor
-from conformodal.corridor.ambiguity import LookAlikes, count_look_alikes, find_look_alikes
+from conformodal.corridor.ambiguity import count_look_alikes
 from conformodal.corridor.render import Renderer
 from conformodal.corridor.world import CorridorWorld
 from conformodal.features.extract import FeatureCache, extract_features
@@ -24,16 +24,14 @@ from conformodal.io import Recording, SplitKind, read_recording
 from conformodal.io.pose_files import write_tum
 from conformodal.io.streams.frames import Frame, RecordingStream
 from conformodal.localizer.regions import PoseRegions
-from conformodal.pipeline.config import Method, ModelConfig
+from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimates import Estimate
 from conformodal.pipeline.plain import train_plain
 from conformodal.pipeline.results import lock_output
 from conformodal.pipeline.train import prepare_training_data
-from conformodal.report.figures import plan_figure
-from conformodal.report.page import PAGE, PageFigure
+from conformodal.report.page import PAGE
 
 from .answering import (
-    Answers,
     Part,
     answer_stream,
     describe_outcome,
@@ -50,18 +48,15 @@ N_MODULES, N_LAPS = 5, 2
 # features, not their principal components: rooms differ in small things.
 TRAINING = TrainingConfig(epochs=40, dropout=0.6, components=None)
 ALPHA = 0.02
-_PAPERS_ALPHA = 0.1  # the paper's example, of each target
 
 
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for all files of the demo.")] = Path("demo-out"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of the world, flight, split and training.")] = 0,
-    method: Annotated[
-        Method, typer.Option(help="conformodal, or paper: the paper's system in the same world.")
-    ] = Method.CONFORMODAL,
 ) -> None:
     """Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and motion."""
-    started, config, features = time.perf_counter(), _config(method, seed), FeatureCache(out / "cache")
+    started, features, training = time.perf_counter(), FeatureCache(out / "cache"), replace(TRAINING, seed=seed)
+    config = ModelConfig(split=SplitKind.INTERLEAVED, alpha=ALPHA, seed=seed, training=training)
     with lock_output(out, "demo"), progress_bars(out) as report:
         sequence = _corridor(out / "corridor", seed, report)
         model = train_on(sequence, config, out / "model", features=features, report=report)
@@ -82,10 +77,9 @@ def demo(
         write_tum(out / "methods" / "classical.tum", answers.trajectories["classical"])
         world = CorridorWorld(N_MODULES, seed=seed)
         renderer, progress = Renderer(world), stage_of(report, "look-alikes")
-        look_alikes = find_look_alikes(regions, truth, model.sign_reference, renderer, progress)
-        metrics = {**metrics_of(answers), "command": "demo", "ambiguity": count_look_alikes(look_alikes)}
+        places = count_look_alikes(regions, truth, model.sign_reference, renderer, progress)
+        metrics = {**metrics_of(answers), "command": "demo", "ambiguity": places}
         metrics["seconds"] = round(time.perf_counter() - started, 2)
-        places = metrics["ambiguity"]
         alike = (
             f"{counted(places['n_frames'], 'frame')} with {counted(places['n_places'], 'other place')} of the same "
             f"view; the regions hold {100 * places['share_held']:.1f} % of these."
@@ -98,10 +92,7 @@ def demo(
             alike,
             *describe_outcome("demo", metrics),
         ]
-        title = "conformodal: a corridor of identical rooms"
-        title += ", by the paper's system" if method is Method.PAPER else ""
-        figure = _plan(answers, regions, truth, world, look_alikes)
-        write_answers(answers, metrics, title, summary, [figure], world.plan())
+        write_answers(answers, metrics, "conformodal: a corridor of identical rooms", summary, world.plan())
     report_outcome("demo", metrics)
     report_line(alike)
     rmse_m = {name: row["rmse_m"] for name, row in metrics["errors"].items()}
@@ -110,14 +101,6 @@ def demo(
     report_line(f"rmse_m of the classical regressor / of the method: {ratios} ({metrics['seconds']:.0f} s in all)")
     report_line(f"open {(out / PAGE).resolve()}")
     print_where(out)
-
-
-def _config(method: Method, seed: int) -> ModelConfig:
-    """The configuration of a method; both train in the same way."""
-    training = replace(TRAINING, seed=seed)
-    if method is Method.PAPER:
-        return ModelConfig.paper(alpha=_PAPERS_ALPHA, seed=seed, training=training)
-    return ModelConfig(split=SplitKind.INTERLEAVED, alpha=ALPHA, seed=seed, training=training)
 
 
 def _corridor(folder: Path, seed: int, report: StageProgress) -> Recording:
@@ -129,27 +112,3 @@ def _corridor(folder: Path, seed: int, report: StageProgress) -> Recording:
     elif not mark.is_file() or mark.read_text(encoding="utf-8").strip() != str(seed):
         raise OptionError(f"{folder}: holds a flight that is not of seed {seed}; take another --out")
     return read_recording(folder)
-
-
-def _plan(
-    answers: Answers, regions: PoseRegions, truth: Trajectory, world: CorridorWorld, look_alikes: list[LookAlikes]
-) -> PageFigure:
-    """The plan of a frame that has most look-alike places, all of them held."""
-    index = int(np.argmax([len(one.held) if one.held.all() else -1 for one in look_alikes]))
-    chosen, name = look_alikes[index], answers.writer.records[index]["frame"]
-    n, paper = len(chosen.held), answers.model.method is Method.PAPER
-    svg = plan_figure(
-        regions,
-        next(iter(answers.trajectories.values())),
-        index,
-        truth,
-        classical=answers.trajectories["classical"],
-        walls=world.plan(),
-        alike=chosen.positions_xyz,
-        label="the paper's greedy answer" if paper else "conformal, after reasoning",
-    )
-    caption = (
-        f"{name}, from above. {counted(n, 'other place')} {noun_for(n, 'has', 'have')} the same view: the region holds "
-        f"{int(chosen.held.sum())}."
-    )
-    return PageFigure("plan", "One frame, and every place with the same view", caption, svg)

@@ -30,7 +30,7 @@ from conformodal.pipeline.results import (
 )
 
 from .answering import describe_coverage, print_errors
-from .console import print_where, report_line
+from .console import AsJson, Quiet, print_json, print_where, report_line
 from .sources import MaxGap, TimeOffset, open_sequence, read_poses
 
 _NOTE = (
@@ -48,6 +48,8 @@ def evaluate(
     ] = Alignment.NONE,
     max_gap: MaxGap = MAX_GAP_S,
     time_offset: TimeOffset = 0.0,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Compare results with true poses, interpolated by time. Writes OUT/evaluation/metrics.json."""
     with writing_in(out), lock_output(out / "evaluation", "evaluate"):
@@ -106,6 +108,7 @@ def evaluate(
     print_errors(errors, f"against {truth.name}{aligned_by}", unit)
     report_line(describe_coverage(coverage))
     print_where(out / "evaluation")
+    print_json(evaluation)
 
 
 def _coverage(

@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 
 from conformodal.pipeline.guarantee import describe_guarantee, guarantees
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.store import load_model, model_digest
 
-from .console import report_line
+from .console import AsJson, print_json, report_line
 from .sources import SavedModel
 
 _TIMED = 20
 
 
-def info(
-    model: SavedModel, as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False
-) -> None:
+def info(model: SavedModel, as_json: AsJson = False) -> None:
     """Print a saved model's training data, guarantee, size and network speed."""
     facts = _facts(load_model(model), model)
-    if as_json:
-        typer.echo(json.dumps(facts, indent=1))
-        return
+    print_json(facts)
     for line in describe_facts(facts):
         report_line(line)
 

@@ -9,12 +9,12 @@ from importlib import import_module
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand
 from typer.main import get_command
 
 from conformodal.core.extras import require_extra
 
-from .console import report_errors
+from .console import Command, Group, report_errors
 
 # By command, which is also the name of its module: the first line of its help.
 COMMANDS = {
@@ -43,10 +43,12 @@ class _LazyCommand(TyperCommand):
         assert self.name is not None
         with require_extra(_EXTRAS.get(self.name, "run"), f"conformodal {self.name}"):
             module = import_module(f"{__package__}.{self.name}")
-        single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-        if not hasattr(module, "app"):
-            single.command(self.name)(getattr(module, self.name))
-        command = get_command(getattr(module, "app", single))
+        app = getattr(module, "app", None) or typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+        if not app.registered_commands:
+            app.command(self.name)(getattr(module, self.name))
+        for each in app.registered_commands:
+            each.cls = Command
+        command = get_command(app)
         command.name = self.name
         return command
 
@@ -55,19 +57,15 @@ class _LazyCommand(TyperCommand):
         return self.loaded().make_context(*arguments, **options)
 
 
-class _Commands(TyperGroup):
+class _Commands(Group):
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.commands = {name: _LazyCommand(name) for name in COMMANDS}
+
     def invoke(self, ctx: Any) -> Any:
         """Parse, load and run a command; the one place where an error becomes a line and an exit code."""
         with report_errors():
             return super().invoke(ctx)
-
-    def list_commands(self, ctx: Any) -> list[str]:
-        """All names, in the order of a first use."""
-        return list(COMMANDS)
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """A command that is not imported yet."""
-        return _LazyCommand(cmd_name) if cmd_name in COMMANDS else None
 
 
 app = typer.Typer(name="conformodal", cls=_Commands, help=_HELP, no_args_is_help=True, pretty_exceptions_enable=False)

@@ -31,7 +31,18 @@ from .answering import (
     report_outcome,
     write_answers,
 )
-from .console import BROKE_OFF, OptionError, print_where, progress_bars, report_line, stop_code, stopping
+from .console import (
+    BROKE_OFF,
+    AsJson,
+    OptionError,
+    Quiet,
+    print_json,
+    print_where,
+    progress_bars,
+    report_line,
+    stop_code,
+    stopping,
+)
 from .sources import DataLayout, SavedModel, open_source
 
 RERUN_SUFFIX, ROS_SUFFIX = ".rrd", ".mcap"
@@ -78,6 +89,8 @@ def run(
     save_images: Annotated[
         bool, typer.Option("--save-images", help="Keep the images in the .mcap too.", rich_help_panel=_SHOW)
     ] = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Compute regions and the trajectory of sources with a saved model, frame by frame.
 
@@ -111,6 +124,7 @@ def run(
             write_answers(answers, metrics, f"conformodal: {stream.name}", describe_outcome(stream.name, metrics))
     report_outcome(stream.name, metrics)
     print_where(out)
+    print_json(metrics)
     if answers.stopped:
         raise typer.Exit(stop_code(signals) if answers.stopped == INTERRUPTED else BROKE_OFF)
 

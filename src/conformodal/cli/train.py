@@ -28,7 +28,7 @@ from conformodal.pipeline.train import train_model
 from conformodal.quality.advice import advice, numbers, quality_record, verdict
 from conformodal.quality.examining import examine
 
-from .console import OptionError, print_where, progress_bars, report_line
+from .console import OptionError, Quiet, print_where, progress_bars, report_line
 from .sources import (
     DATA_PANEL,
     AllData,
@@ -104,6 +104,7 @@ def train(
             "for --split interleaved, else stretches.",
         ),
     ] = ModelConfig.calibrate_on,
+    quiet: Quiet = False,
 ) -> None:
     """Train on a data set with poses, calibrate, and save the model."""
     share, held_out = ModelConfig.test, None

@@ -21,7 +21,9 @@ def default_cache_dir() -> Path:
 
 def read_file(path: Path | str) -> bytes:
     """The content of a file; an OSError for a pipe, which would be waited for, a device or a folder."""
-    if os.path.exists(path) and not os.path.isfile(path):
+    if not os.path.exists(path):
+        raise FileNotFoundError(errno.ENOENT, "no such file")
+    if not os.path.isfile(path):
         raise OSError(errno.EINVAL, "is not a regular file")
     return Path(path).read_bytes()
 

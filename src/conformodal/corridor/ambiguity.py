@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from conformodal.core.arrays import BoolArray, FloatArray
+from conformodal.core.arrays import FloatArray
 from conformodal.core.progress import Progress
 from conformodal.geometry import Trajectory
 from conformodal.localizer.candidates import pose_targets
@@ -19,41 +19,24 @@ MAX_SHARE_DIFFERENT = 0.001
 MAX_LEVEL_DIFFERENCE = 3 * CAMERA_NOISE_LEVELS
 
 
-@dataclass(frozen=True, eq=False)
-class LookAlikes:
-    """Other places with the same view as a frame."""
-
-    positions_xyz: FloatArray  # (m, 3) metres
-    held: BoolArray  # (m,) whether the frame's region holds the pose there
-
-
-def find_look_alikes(
+def count_look_alikes(
     regions: PoseRegions,
     truth: Trajectory,
     sign_reference: FloatArray,
     renderer: Renderer,
     progress: Progress | None = None,
-) -> list[LookAlikes]:
-    """Look for every frame's look-alike places in the corridor, and check whether its region holds them."""
-    every = []
+) -> dict[str, Any]:
+    """For ``metrics.json``: frames with look-alike places, all of these places, and the share that the regions hold."""
+    n_frames, held = 0, list[bool]()
     for i, pose in enumerate(truth.poses_se3):
-        others = same_views(renderer, pose)
-        targets = np.zeros((0, 7))
-        if len(others):
+        if len(others := same_views(renderer, pose)):
             there = Trajectory.from_poses_se3(np.arange(float(len(others))), others)
             targets = pose_targets(there, sign_reference)
-        held = regions[np.full(len(targets), i)].contains(targets, joint=True)
-        every.append(LookAlikes(others[:, :3, 3], held))
+            held += regions[np.full(len(targets), i)].contains(targets, joint=True).tolist()
+            n_frames += 1
         if progress is not None:
             progress(i + 1, len(truth))
-    return every
-
-
-def count_look_alikes(every: list[LookAlikes]) -> dict[str, float]:
-    """For ``metrics.json``: frames with such places, all of these places, and the share that the regions hold."""
-    held = np.concatenate([one.held for one in every])
-    n_frames = sum(len(one.held) > 0 for one in every)
-    return {"n_frames": n_frames, "n_places": len(held), "share_held": float(held.sum() / max(len(held), 1))}
+    return {"n_frames": n_frames, "n_places": len(held), "share_held": sum(held) / max(len(held), 1)}
 
 
 def same_views(renderer: Renderer, T_world_cam: FloatArray) -> FloatArray:

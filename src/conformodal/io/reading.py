@@ -77,7 +77,7 @@ def read_lines(path: Path) -> list[str]:
     try:
         return read_file(path).decode("utf-8-sig").rstrip().splitlines()
     except (OSError, ValueError) as exc:
-        raise DatasetError(f"{path}: cannot be read: {exc}") from exc
+        raise DatasetError(f"{path}: cannot be read: {getattr(exc, 'strerror', None) or exc}") from exc
 
 
 def parse_lines(path: Path, parse: Callable[[str], Item], expected: str, *, by_line: bool = False) -> list[Item]:

@@ -110,7 +110,7 @@ def recognise(folder: Path) -> str:
 def _check_folder(folder: Path) -> None:
     if not os.path.isdir(folder):
         is_file = os.path.isfile(folder)
-        what = f"is a file, expected a data set's folder{_MADE.format(folder)}" if is_file else "no such folder"
+        what = f"is a file, expected a data set's folder{_MADE.format(folder)}" if is_file else "no such file or folder"
         raise DatasetError(as_utf8(f"{folder}: {what}"))
 
 

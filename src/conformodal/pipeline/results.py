@@ -324,6 +324,8 @@ def read_metrics(folder: Path) -> dict[str, Any]:
     path = folder / METRICS
     try:
         metrics = json.loads(read_file(path))
+    except FileNotFoundError as exc:
+        raise ResultsError(f"{path}: no such file; name the folder of a run's results") from exc
     except (OSError, ValueError, RecursionError) as exc:
         raise ResultsError(f"{path}: cannot be read as metrics: {exc}") from exc
     if not isinstance(metrics, dict) or not isinstance(metrics.get("configuration") or {}, dict):

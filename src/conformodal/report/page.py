@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,30 +22,17 @@ METHOD_LABELS = {
 }
 
 
-@dataclass(frozen=True)
-class PageFigure:
-    """A figure: a name for its file, what stands above and below it, and the SVG."""
-
-    name: str
-    heading: str
-    caption: str
-    svg: str
-
-
 def write_page(
     path: Path,
     title: str,
     summary: list[str],
     metrics: dict[str, Any],
-    figures: Sequence[PageFigure] = (),
     viewer: dict[str, Any] | None = None,
 ) -> None:
-    """Write the page of a run, and its figures as files under ``figures`` beside it.
+    """Write the page of a run.
 
     `metrics` is the content of ``metrics.json``, `viewer` of :func:`~conformodal.report.viewer.make_viewer`.
     """
-    for figure in figures:
-        write_whole(path.parent / "figures" / f"{figure.name}.svg", figure.svg)
     errors = metrics.get("errors") or {}
     paths, image = metrics.get("path_coverage"), metrics.get("coverage")
     by_evidence = {}
@@ -61,7 +46,6 @@ def write_page(
         summary=summary,
         record=metrics,
         unit=(metrics.get("configuration") or {}).get("unit", "m"),
-        figures=figures,
         viewer=viewer,
         errors=[(label, errors[name]) for name, label in METHOD_LABELS.items() if name in errors],
         baseline=errors.get("classical", {}).get("rmse_m"),

@@ -475,7 +475,7 @@ def test_a_data_set_streams_the_frames_between_too(redkitchen):
     assert [(f.index, f.answer) for f in frames] == [(i, i in (3, 5, 8)) for i in range(3, 9)]
     assert some.n_frames == 6
     np.testing.assert_array_equal(frames[2].image, sequence.image(5))
-    with pytest.raises(DatasetError, match="no such folder"):
+    with pytest.raises(DatasetError, match="no such file or folder"):
         open_stream(redkitchen / "absent")
 
 
