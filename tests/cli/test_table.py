@@ -1,17 +1,19 @@
 """A CSV file as spreadsheets write it, at the command line."""
 
+import json
 import sys
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from conformodal.cli.table import choose_columns
+from conformodal.cli.table import choose_columns, doubt_targets
 from conformodal.cli.table_csv import CsvFormat, TableError, read_table
 from conformodal.conformal import ConformalRegressor
 from conformodal.conformal.density import named
 from conformodal.conformal.density.named import boosting
-from tests.helpers import invoke
+from conformodal.conformal.tables import as_inputs
+from tests.helpers import invoke, refusal, run_ok
 
 
 def written(folder, text, encoding="utf-8"):
@@ -88,7 +90,7 @@ def test_marks_that_may_stand_between_thousands_are_refused(tmp_path, text):
         ([*map(str, range(30)), "n.d."], "'n.d.'"),
         ([*map(str, range(40)), "inf", "1e400"], "'inf'"),
         ([*map(str, range(40)), "-999", "-999"], "--na-values=-999"),
-        (["1", '"5 inch,2', "3", '"6 inch', "7"], "row 2"),
+        (["1", '"5 inch,2', "3", '"6 inch', "7"], "line 3"),
     ],
 )
 def test_what_could_mean_two_things_is_told(tmp_path, rows, named):
@@ -125,11 +127,12 @@ def test_what_stands_around_the_values_is_passed_over(tmp_path, text, rows):
         (["2024-03-02", "2024-02-15"], "2024-03-02"),
         (["3/2/24", "4/5/24"], "2024-03-02"),
         (["2-Mar-2024", "15-Feb-2024"], "2024-03-02"),
+        (["20240302T000000", "20240215T120000"], "2024-03-02"),
     ],
 )
 def test_days_and_months_are_told_apart_by_the_whole_column(tmp_path, days, first):
     values, notes = read_table(written(tmp_path, "\n".join(["a,b", *(f"{day},1" for day in days)])))
-    assert values["a"][0] == pd.Timestamp(first)
+    assert values["a"].iloc[0] == pd.Timestamp(first)
     assert f"a: dates, of which {days[0]!r} is read as {first}" in notes
 
 
@@ -140,7 +143,7 @@ def test_days_and_months_are_told_apart_by_the_whole_column(tmp_path, days, firs
         (b"a,a ,y\n1,2,3\n", "called a"),
         (b"a,y\n1,5,2,5\n1,7,3,5\n", "names"),
         (b"1.5,2\n3,4\n", "names"),
-        (b"a,y\n1,2\n1,5,2\n1,3\n", "row 2"),
+        (b"a,y\n1,2\n1,5,2\n1,3\n", "line 3"),
         (b"PK\x03\x04\x00\x00", "CSV"),
         (b"", "CSV"),
         (b"\xff\xfea", "UTF-16"),
@@ -175,7 +178,13 @@ def test_columns_and_rows_that_say_nothing_are_left_out_and_told():
     assert list(y) == ["dose"]
     assert len(X) == 98
     told = " ".join(lines)
-    for words in ("id (numbers the rows)", "name (another text", "empty (90% missing)", "same (one value", "rows 4, 8"):
+    for words in (
+        "id (numbers the rows)",
+        "name (another text",
+        "empty (90% missing)",
+        "same (one value",
+        "lines 3, 7",
+    ):
         assert words in told
     assert "used: ward (text, 2 labels), age" in told
 
@@ -191,7 +200,7 @@ def test_a_row_of_totals_and_an_index_are_left_out_and_told(at, label):
     assert at not in X.index
     assert len(X) == 99
     assert list(X) == ["ward", "age"]
-    assert f"row {at + 1}, which holds totals" in " ".join(lines)
+    assert f"line {at}, which holds totals" in " ".join(lines)
     assert "column 1 (an index)" in " ".join(lines)
 
 
@@ -259,3 +268,85 @@ def test_the_command_prints_what_it_used_and_the_coverage_of_each_group(tmp_path
     assert ConformalRegressor.load(tmp_path / "reg.cm").bins_.names == ["dose"]
     for words in ("used: ward (text, 2 labels), age", "dose: ", "(true: ", "coverage of dose", "group a", "group b"):
         assert words in result.output
+
+
+def rentals(n=400):
+    rng = np.random.default_rng(0)
+    hours = pd.date_range("2023-12-25", periods=n, freq="7h")
+    level = 100 + 80 * np.sin(2 * np.pi * hours.hour / 24) + rng.normal(0, 5, n).round()
+    casual = rng.integers(0, 50, n)
+    return pd.DataFrame(
+        {"id": [f"r{i}" for i in range(n)], "when": hours.strftime("%d/%m/%Y %H:%M"), "site": rng.choice(["a", "b"], n)}
+    ).assign(casual=casual, registered=level.round() - casual, count=level.round())
+
+
+def test_a_target_that_is_never_negative_whole_or_a_sum_is_told():
+    table, X = rentals(), rentals()[["casual", "registered"]].astype(float)
+    told = " ".join(doubt_targets(X, table[["count"]], None))
+    assert "count is never negative" in told
+    assert "count holds whole numbers" in told
+    assert "count equals the sum of casual and registered" in told
+    assert doubt_targets(X[["casual"]], table[["count"]] + 0.5, 0.0) == []
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_saved_model_predicts_new_rows_by_the_names_of_their_columns(tmp_path, monkeypatch, kind):
+    pytest.importorskip("skops")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    shorten_fits(monkeypatch)
+    table = rentals().drop(columns=["casual", "registered"])
+    table.to_csv(tmp_path / "old.csv", index=False)
+    fit = ("--target", "count", "--model", tmp_path / "reg.cm", "--min", 0, "--group", "site")
+    told = run_ok("table", "fit", tmp_path / "old.csv", *fit).output
+    assert "when (date: year, month, day of the year, weekday and hour)" in told
+    reg = ConformalRegressor.load(tmp_path / "reg.cm")
+    new = table.iloc[40:55].assign(when=lambda t: pd.to_datetime(t["when"], format="%d/%m/%Y %H:%M"), extra=1)
+    expected = reg.predict_table(new)
+    # days of up to 12 only, which are read as in training
+    assert (new["when"].dt.day <= 12).all()
+    if kind == "csv":
+        new = new.assign(when=new["when"].dt.strftime("%d/%m/%Y %H:%M"))
+    shuffled = new[[*reversed(new.columns)]]
+    write = shuffled.to_csv if kind == "csv" else shuffled.to_parquet
+    write(tmp_path / f"new.{kind}", index=False)
+    told = run_ok("table", "predict", tmp_path / "reg.cm", tmp_path / f"new.{kind}", "--out", tmp_path / "out.parquet")
+    assert "not read: extra, count" in told.output
+    result = parquet.read_table(tmp_path / "out.parquet").to_pandas()
+    assert result["row"].tolist() == [*range(15)]
+    assert result["id"].tolist() == new["id"].tolist()
+    np.testing.assert_array_equal(result["count"], expected["count"])
+    np.testing.assert_array_equal(result["count_high"], expected["count_high"])
+    regions = reg.predict_region(as_inputs(reg, new if kind == "parquet" else expected_inputs(new)), groups=new["site"])
+    for i, parts in enumerate(result["count_intervals"]):
+        np.testing.assert_array_equal([[part["low"], part["high"]] for part in parts], regions.intervals(i)[0])
+        assert 0 < sum(part["probability"] for part in parts) <= 1 + 1e-9
+    run_ok("table", "predict", tmp_path / "reg.cm", tmp_path / f"new.{kind}", "--out", tmp_path / "out.csv")
+    text = pd.read_csv(tmp_path / "out.csv")
+    assert json.loads(text["count_intervals"][0])[0]["low"] == result["count_low"][0] >= 0
+
+
+def expected_inputs(new):
+    return new.assign(when=pd.to_datetime(new["when"], format="%d/%m/%Y %H:%M"))
+
+
+def test_new_rows_that_lack_a_column_or_hold_another_kind_are_refused(tmp_path, monkeypatch):
+    pytest.importorskip("skops")
+    pytest.importorskip("pyarrow")
+    shorten_fits(monkeypatch)
+    table = rentals()
+    table.to_csv(tmp_path / "old.csv", index=False)
+    run_ok("table", tmp_path / "old.csv", "--target", "count", "--exclude", "casual", "--model", tmp_path / "reg.cm")
+    cases = {
+        "lacks 'when'": table.drop(columns="when"),
+        "registered held numbers": table.assign(registered="many"),
+        "when held dates": table.assign(when=1.5),
+    }
+    for words, new in cases.items():
+        new.to_csv(tmp_path / "new.csv", index=False)
+        told = refusal("table", "predict", tmp_path / "reg.cm", tmp_path / "new.csv", "--out", tmp_path / "out.csv")
+        assert words in told
+        assert "new.csv" in told
+    assert not (tmp_path / "out.csv").exists()
+    assert "--out" in refusal(
+        "table", "predict", tmp_path / "reg.cm", tmp_path / "new.csv", "--out", tmp_path / "o.txt"
+    )

@@ -26,7 +26,7 @@ FOREST = make_pipeline(
 )
 KINDS = {
     "default": {},
-    "bounds, few intervals": {"y_min": -1, "max_intervals": 2, "calibration_size": 0.4},
+    "bounds": {"y_min": -1, "calibration_size": 0.4},
     "classifier": {"estimator": FOREST, "n_bins": 8, "conformity_score": "hpd"},
     "two targets": {"joint": "max", "alpha": "0.2"},
 }
@@ -101,9 +101,9 @@ def archive():
 @pytest.mark.parametrize(
     ("content", "match"),
     [(None, "cannot be read"), (b"text", "is not a saved regressor"), (archive(), "is not a saved regressor"),
-     (skops.dumps({"format": "x"}), "is not a complete conformodal-table-5"),
+     (skops.dumps({"format": "x"}), "is not a complete conformodal-table-6"),
      (skops.dumps({"format": "conformodal-table-1", "scikit-learn": "0", "regressor": 3}), "fit and save it again"),
-     (skops.dumps({"format": "conformodal-table-5", "scikit-learn": "0", "regressor": 3}), "is not a saved")],
+     (skops.dumps({"format": "conformodal-table-6", "scikit-learn": "0", "regressor": 3}), "is not a saved")],
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore:.*saved with scikit-learn")
 def test_other_files_are_refused(content, match, tmp_path):

@@ -56,11 +56,12 @@ def of_polars(X):
 def test_the_encoder_fills_marks_counts_and_names():
     X = pd.DataFrame({"a": [1.0, np.nan, 5.0], "b": ["x", "y", "x"], "c": [date(2024, 1, 1), None, date(2024, 1, 3)]})
     day = 19723.0
-    expected = [[1, 0, 1, day, 0], [3, 1, 0, day + 1, 1], [5, 0, 1, day + 2, 0]]
+    # of dates the time, whether it is missing, the day of the year and the weekday
+    expected = [[1, 0, 1, day, 0, 1, 0], [3, 1, 0, day + 1, 1, 2, 1], [5, 0, 1, day + 2, 0, 3, 2]]
     encoder = TableEncoder().fit(X)
     np.testing.assert_array_equal(encoder.transform(X), expected)
     later = pd.DataFrame({"a": [np.nan], "b": ["never seen"], "c": [date(2024, 1, 2)]})
-    np.testing.assert_array_equal(encoder.transform(later), [[3, 1, 0, day + 1, 0]])
+    np.testing.assert_array_equal(encoder.transform(later), [[3, 1, 0, day + 1, 0, 2, 1]])
     with pytest.raises(ConformodalError, match="column a held numbers or dates in training"):
         encoder.transform(later.assign(a=["1,5"]))
     with pytest.raises(ConformodalError, match="2 columns, expected 3"):

@@ -138,6 +138,8 @@ def verbs():
         command = group.get_command(None, name).loaded()
         if hasattr(command, "commands"):
             yield from (((name, inner), each) for inner, each in command.commands.items())
+            if "fit" in command.commands:  # the default
+                yield (name,), command.commands["fit"]
         else:
             yield (name,), command
 

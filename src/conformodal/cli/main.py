@@ -26,7 +26,7 @@ COMMANDS = {
     "evaluate": "Compare results with true poses, interpolated by time. Writes OUT/evaluation/metrics.json.",
     "info": "Print a saved model's training data, guarantee, size and network speed.",
     "data": "Check or convert a data set.",
-    "table": "Learn columns of a CSV file from the others; print regions of unseen rows and their coverage.",
+    "table": "Learn columns of a CSV file from the others (fit, the default), or write regions of new rows (predict).",
 }
 _EXTRAS = {"demo": "train", "train": "train", "table": "table"}  # the others need 'run'
 _HELP = "Every pose that an image may show, with a coverage guarantee; and the one that fits the motion."

@@ -1,4 +1,4 @@
-"""``conformodal table``: regions and their coverage from a CSV file as a spreadsheet writes it."""
+"""``conformodal table``: regions and their coverage from a CSV file as a spreadsheet writes it, and of new files."""
 
 from __future__ import annotations
 
@@ -13,27 +13,49 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 import typer
+from typer.core import TyperGroup
 
 from conformodal.conformal import ConformalRegressor, DataWarning, Diagnosis, PredictiveDensity, Regions
 from conformodal.conformal.checks import doubt_alpha
+from conformodal.conformal.density.encoder import as_column, varying_parts
 from conformodal.conformal.saving import check_replaceable
-from conformodal.core.arrays import AnyArray
+from conformodal.core.arrays import AnyArray, evenly_spread
 from conformodal.core.extras import require_extra
-from conformodal.core.words import counted, listed
+from conformodal.core.words import counted, listed, readable
 
 from .console import report_line, warning_lines
 from .table_csv import CsvFormat, TableError, read_table
+from .table_predict import predict
 
 _FEWEST_ROWS = 50  # a fifth is tested, and a fifth of the rest calibrates
-_SHOWN, _NAMED = 3, 20  # rows, columns
+_SHOWN, _NAMED, _MOST_DRAWN = 3, 20, 200  # rows, columns, rows of a picture
 _MOST_MISSING, _MOST_DISTINCT = 0.5, 0.9
 _OUTLYING, _FEW_TOTALS = 10, 0.02  # medians that a sum exceeds, share of rows called totals
+_MOST_SOLVED, _ROWS_SOLVED, _TINY = 100, 1000, 1e-6  # columns and rows of an equation for the target; its error
 _PICTURES = (".svg", ".png", ".pdf")
 _INDEX = r"column 1|index|Unnamed: \d+"  # the first of them stands for no name
 _TOTAL = (
     r"(?i)(grand |sub|sub-)?totals?|(grand )?total .*|sums?|summe|gesamt|insgesamt|somme|totale|suma|average|mean|Σ"
 )
 _READING = "How the file is written"
+
+
+class _FitByDefault(TyperGroup):
+    """``table FILE`` is ``table fit FILE``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put ``fit`` before arguments that do not begin with a command."""
+        if args and args[0] not in (*self.commands, "--help"):
+            args = ["fit", *args]
+        return super().parse_args(ctx, args)
+
+
+app = typer.Typer(cls=_FitByDefault, no_args_is_help=True, add_completion=False)
+
+
+@app.callback()
+def table() -> None:
+    """Learn columns of a CSV file from the others (fit, the default), or write regions of new rows (predict)."""
 
 
 class Split(StrEnum):
@@ -43,7 +65,8 @@ class Split(StrEnum):
     TIME = "time"
 
 
-def table(
+@app.command()
+def fit(
     file: Annotated[Path, typer.Argument(help="CSV file with a line of column names.")],
     target: Annotated[list[str], typer.Option(help="Column to predict; repeat it for several, covered together.")],
     group: Annotated[
@@ -69,12 +92,14 @@ def table(
         list[str] | None, typer.Option(help="Text that means a missing value; repeatable.", rich_help_panel=_READING)
     ] = None,
     alpha: Annotated[str, typer.Option(help="Miscoverage rate.")] = "0.1",
+    y_min: Annotated[float | None, typer.Option("--min", help="Value that no target falls below, such as 0.")] = None,
+    y_max: Annotated[float | None, typer.Option("--max", help="Value that no target exceeds.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the split and of the learner.")] = 0,
     plot: Annotated[
         Path | None, typer.Option(help="Picture of sets and coverage, .svg, .png or .pdf; needs the extra 'figures'.")
     ] = None,
     model: Annotated[
-        Path | None, typer.Option(help="File for the fitted regressor, for ConformalRegressor.load; extra 'save'.")
+        Path | None, typer.Option(help="File for the fitted regressor, for 'table predict'; needs the extra 'save'.")
     ] = None,
 ) -> None:
     """Learn columns of a CSV file from the others; print regions of unseen rows and their coverage."""
@@ -86,16 +111,18 @@ def table(
     if unit is not None and (group or split is Split.TIME):
         raise TableError("--unit cannot be used with --group or --split time")
     by = group[0] if group else None
-    frame, notes = read_table(file, CsvFormat("\t" if sep == r"\t" else sep, decimal, thousands, na_values or ()))
+    written: dict[str, Any] = {"decimal": decimal, "thousands": thousands, "na_values": na_values or []}
+    frame, notes = read_table(file, CsvFormat("\t" if sep == r"\t" else sep, **written))
     left_out = [*(exclude or []), *([] if unit is None else [unit])]
     X, y, more = choose_columns(frame, target, by, str(file), left_out)
-    for note in (*notes, *more):
+    for note in (*notes, *more, *doubt_targets(X, y, y_min)):
         report_line(note)
     units = None if unit is None else frame[unit].loc[X.index].astype(str)
     test, train = _split_rows(X, units, split, np.random.default_rng(seed))
     joint: Any = "max" if len(target) > 1 else "none"
     held_out: Any = "random" if split is Split.RANDOM else "last"
-    reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, calibration=held_out)
+    bounds: dict[str, Any] = {"y_min": -np.inf if y_min is None else y_min, "y_max": np.inf if y_max is None else y_max}
+    reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, calibration=held_out, **bounds)
     train_groups, test_groups = (X[by].iloc[rows] if by else None for rows in (train, test))
     with warning_lines(UserWarning, lambda text: report_line(f"note: {text}")):
         reg.fit(X.iloc[train], y.iloc[train], groups=train_groups, units=None if units is None else units.iloc[train])
@@ -103,9 +130,9 @@ def table(
     several = (regions.n_intervals > 1).any(axis=1)
     for row in sorted({*range(_SHOWN), int(several.argmax())}):
         for name, parts in zip(target, regions.intervals(row), strict=True):
-            ranges = " or ".join(f"{low:.4g} to {high:.4g}" for low, high in parts) or "no value"
+            ranges = " or ".join(f"{readable(low)} to {readable(high)}" for low, high in parts) or "no value"
             true = y[name].iloc[test[row]]
-            report_line(f"row {X.index[test[row]] + 1}, {name}: {ranges} (true: {true:.4g})")
+            report_line(f"line {X.index[test[row]]}, {name}: {ranges} (true: {readable(true)})")
     report_line(f"rows with several intervals: {several.mean():.0%}")
     about = f"rows of any new {unit}" if unit else "the last rows" if split is Split.TIME else "rows drawn at random"
     report_line(f"coverage below is that of {about}")
@@ -114,10 +141,18 @@ def table(
     for line in str(diagnosis).splitlines():
         report_line(line)
     if model is not None:
+        others = frame.drop(columns=[*X, *y])
+        reg.file_format_ = {
+            "identifiers": [str(name) for name in others if others[name].nunique() > 1],
+            "csv": {**written, "day_first": frame.attrs["day_first"]},
+        }
         reg.save(model)
         report_line(f"regressor: {model.resolve()}")
     if plot is not None:
         _draw(reg.predict_density(X.iloc[test]), regions, y.iloc[test], diagnosis, plot)
+
+
+app.command()(predict)
 
 
 def _split_rows(
@@ -161,8 +196,10 @@ def _draw(density: PredictiveDensity, regions: Regions, y: pd.DataFrame, diagnos
     figure = Figure(figsize=(12, height * n_targets), layout="constrained")
     grid = figure.subplots(n_targets, 2, squeeze=False, width_ratios=(3, 2))
     for j, (left, right) in enumerate(grid):
-        rank = density.mean[:, j].argsort(kind="stable").argsort()
-        draw_regions(regions, y, pd.Series(rank, name="unseen rows, by predicted mean"), density, j, left)
+        rows = density.mean[:, j].argsort(kind="stable")[evenly_spread(len(y), _MOST_DRAWN)]
+        some = PredictiveDensity(density.bins, [part[rows] for part in density.proba])
+        place = pd.Series(np.arange(len(rows)), name=f"{len(rows):,} of {len(y):,} unseen rows, by predicted mean")
+        draw_regions(regions[rows], y.iloc[rows], place, some, j, left)
         if j < len(diagnosis.columns):
             draw_coverage(diagnosis, j, right)
         else:
@@ -205,10 +242,10 @@ def choose_columns(
     ]
     lines += [f"left out: {', '.join(left_out)}"] if left_out else []
     if gaps.size:
-        first = ", ".join(map(str, (gaps[:5] + 1).tolist())) + (", ..." if gaps.size > 5 else "")
-        lines.append(f"left out: {counted(gaps.size, 'row')} without a target or group (rows {first})")
-    at = listed([str(row + 1) for row in np.flatnonzero(totals)[:5]] or ["none"])
-    lines += [f"note: left out: row {at}, which holds totals of the others"] if totals.any() else []
+        first = ", ".join(map(str, frame.index[gaps[:5]])) + (", ..." if gaps.size > 5 else "")
+        lines.append(f"left out: {counted(gaps.size, 'row')} without a target or group (lines {first})")
+    at = listed([*map(str, frame.index[totals][:5])] or ["none"])
+    lines += [f"note: left out: line {at}, which holds totals of the others"] if totals.any() else []
     inputs = rows[used]
     if group is not None and inputs[group].dtype.kind == "f" and (inputs[group] % 1 == 0).all():
         inputs = inputs.astype({group: int})  # group 2, not 2.0
@@ -228,9 +265,33 @@ def total_rows(frame: pd.DataFrame) -> pd.Series:
     return totals
 
 
+def doubt_targets(X: pd.DataFrame, y: pd.DataFrame, y_min: float | None) -> list[str]:
+    """Notes on targets that are never negative, whole, or a linear function of other columns."""
+    notes = []
+    numbers = X.select_dtypes("float").dropna(axis=1).iloc[:, :_MOST_SOLVED].head(_ROWS_SOLVED)
+    for name, values in y.items():
+        if y_min is None and values.min() >= 0:
+            notes.append(f"note: {name} is never negative; if it cannot be, give --min 0")
+        if (values % 1 == 0).all():
+            notes.append(f"note: {name} holds whole numbers only; an interval stands for those in it")
+        if 2 * numbers.shape[1] >= len(numbers):
+            continue
+        inputs, target = numbers.to_numpy(), values.loc[numbers.index].to_numpy()
+        factors = np.linalg.lstsq(inputs, target, rcond=None)[0]
+        used = np.abs(factors) * np.abs(inputs).max(axis=0) > _TINY * np.abs(target).max()
+        if used.any() and np.allclose(inputs @ factors, target, rtol=_TINY, atol=_TINY * np.abs(target).max()):
+            terms = listed([*map(str, numbers.columns[used])])
+            what = f"the sum of {terms}" if np.allclose(factors[used], 1) else f"a linear function of {terms}"
+            notes.append(f"note: {name} equals {what}; --exclude what is known only with it")
+    return notes
+
+
 def _describe_column(column: pd.Series) -> str:
     """A column that is used: its name, what it holds unless these are numbers, and how much of it is missing."""
-    words = {"M": ["date"], "f": []}.get(column.dtype.kind, [f"text, {column.nunique()} labels"])
+    if column.dtype.kind == "M":
+        words = [f"date: {listed(varying_parts(as_column(column, column.name)) or ['date'])}"]
+    else:
+        words = [] if column.dtype.kind == "f" else [f"text, {column.nunique()} labels"]
     words += [f"{column.isna().mean():.0%} missing"] if column.hasnans else []
     return f"{column.name} ({', '.join(words)})" if words else str(column.name)
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from conformodal.core.arrays import AnyArray, FloatArray
+from conformodal.core.arrays import AnyArray, FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.files import read_file
 from conformodal.core.words import counted, listed
@@ -27,6 +27,7 @@ _LEAST_SHARE = 0.95  # of a column's values that must be numbers, or dates, for 
 _DATE = (  # with a year of four digits, or two at the end
     r"^((?P<year>\d{4})|\d{1,2})[-./ ](\d{1,2}|[A-Za-z]{3,9})[-./ ,]{1,2}(?(year)\d{1,2}|\d{2}(?:\d{2})?)(?!\d)"
 )
+_COMPACT = r"^(\d{4})(\d{2})(\d{2})T(\d{2})(\d{2})(\d{2})$"  # ISO 8601 without marks
 _GROUPED = r"[-+]?[1-9]\d{0,2}([.,' ])\d{3}(?:\1\d{3})*(?:[.,]\d*)?"  # marks between thousands
 _NUMBER = r"[-+]?[\d.,]*\d[\d.,]*(e[-+]?\d+)?"
 _FEWEST_LINES = 3
@@ -45,6 +46,7 @@ class CsvFormat:
     decimal: str | None = None
     thousands: str | None = None
     na_values: Sequence[str] = ()
+    day_first: Sequence[str] = ()  # columns of dates whose days come before their months where nothing else tells
 
 
 def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFrame, list[str]]:
@@ -61,14 +63,17 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
     text = _text(file)
     above, separator, width = _arrangement(text, file, written.sep or _SEPARATORS)
     raw = _rows(text, file, {"sep": separator, "skiprows": above, "names": range(width)}, written.na_values)
+    raw.index = _lines(text, above, separator, len(raw))
     cells = _named_cells(raw, file, separator)
     notes = [f"{file}: {counted(len(cells), 'row')}, {counted(cells.shape[1], 'column')} separated by {separator!r}"]
     notes += [f"{counted(above, 'line')} above the names passed over"] if above else []
     joined = np.flatnonzero(_each(cells, lambda cell: cell.str.contains(r"[\r\n]", na=False)).any(axis=1))
     if joined.size:
         number = counted(joined.size, "row has values", "rows have values")
-        notes.append(f"{number} of several lines, such as row {joined[0] + 1}; a quote that is not closed joins rows")
-    decimal, columns = written.decimal or _decimal_mark(cells, separator), {}
+        notes.append(
+            f"{number} of several lines, such as line {cells.index[joined[0]]}; a quote that is not closed joins rows"
+        )
+    decimal, columns, day_first = written.decimal or _decimal_mark(cells, separator), {}, list[str]()
     plain = _plain_numbers(cells) if decimal == "." and not written.thousands else {}
     for name, column in cells.items():
         if name in plain:
@@ -76,8 +81,9 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
             notes += [f"{name}: {note}" for note in _doubts(column, plain[name], written)]
             continue
         values = _numbers(file, column, decimal, written.thousands)
-        if values is None:
-            values = _dates(column, separator)
+        if values is None and (reading := _dates(column, separator, str(name) in written.day_first)):
+            values = reading.dates
+            day_first += [str(name)] * reading.day_first
         columns[name] = values = column.astype("str") if values is None else values
         if values.dtype.kind == "M":
             at = (values.dt.day != values.dt.month).where(values.notna(), False).idxmax()
@@ -86,7 +92,21 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
             notes += [f"{name}: {note}" for note in _doubts(column, values.to_numpy(), written)]
         if len(lost := column[values.isna() & column.notna()]):
             notes.append(f"{name}: {counted(len(lost), 'value')} taken as missing, such as {lost.iloc[0]!r}")
-    return pd.DataFrame(columns, cells.index), notes
+    frame = pd.DataFrame(columns, cells.index)
+    frame.attrs["day_first"] = day_first
+    return frame, notes
+
+
+def _lines(text: str, above: int, separator: str, n: int) -> IntArray:
+    """The line (n,) of each row in the file, from 1: values may hold line breaks, and empty lines are no rows."""
+    starts, at = [], 0
+    with suppress(csv.Error):
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=True)
+        for row in reader:
+            if at >= above and (len(row) > 1 or "".join(row).strip()):
+                starts.append(at + 1)
+            at = reader.line_num
+    return np.array(starts) if len(starts) == n else above + 1 + np.arange(n)
 
 
 def _rows(text: str, file: Path, shape: dict[str, Any], na_values: Sequence[str]) -> pd.DataFrame:
@@ -111,12 +131,14 @@ def _each(cells: pd.DataFrame, change: Callable[[pd.Series], pd.Series]) -> AnyA
 
 def _named_cells(raw: pd.DataFrame, file: Path, separator: str) -> pd.DataFrame:
     """The cells below the names, which head the columns; names that are not clear are refused."""
-    head, raw = raw.iloc[0], raw[1:].reset_index(drop=True)
+    head, raw = raw.iloc[0], raw[1:]
     n_named = int(np.flatnonzero(head.notna())[-1]) + 1
     quotes = f"values that hold {separator!r}, as decimal commas, need quotes or another separator"
     more = np.flatnonzero(raw.iloc[:, n_named:].notna().any(axis=1))
     if more.size:
-        raise TableError(f"{file}: row {more[0] + 1} has more values than the {n_named} names of columns; {quotes}")
+        raise TableError(
+            f"{file}: line {raw.index[more[0]]} has more values than the {n_named} names of columns; {quotes}"
+        )
     names = [f"column {j + 1}" if pd.isna(name) else str(name) for j, name in enumerate(head[:n_named])]
     if pd.to_numeric(pd.Series(names), errors="coerce").notna().all():
         raise TableError(f"{file}: expected names above the columns, got {', '.join(names[:_SHOWN])}; {quotes}")
@@ -212,9 +234,17 @@ def _numbers(file: Path, column: pd.Series, decimal: str, thousands: str | None)
     return numbers.astype(float).replace([np.inf, -np.inf], np.nan).reindex(column.index)
 
 
-def _dates(column: pd.Series, separator: str) -> pd.Series | None:
+@dataclass(frozen=True)
+class _DateReading:
+    """Dates of a column, and whether their days come before their months."""
+
+    dates: pd.Series
+    day_first: bool
+
+
+def _dates(column: pd.Series, separator: str, prefers_day_first: bool) -> _DateReading | None:
     """Dates, in UTC where they have a time zone; None where they are none, or nobody knows which part is the month."""
-    given = column.dropna()
+    given = column.dropna().str.replace(_COMPACT, r"\1-\2-\3 \4:\5:\6", regex=True)
     parts = given.str.extract(_DATE)
     if given.empty or parts[0].notna().mean() < _LEAST_SHARE:
         return None
@@ -224,14 +254,15 @@ def _dates(column: pd.Series, separator: str) -> pd.Series | None:
     month_first = bool((second[~year_first] > 12).any())
     if day_first and month_first:
         return None
-    day_first |= not month_first and bool(separator == ";" or given[~year_first].str.match(r"\d+\.").all())
+    pointed = bool(given[~year_first].str.match(r"\d+\.").all())
+    day_first |= not month_first and (prefers_day_first or separator == ";" or pointed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of days and months in another order
         how: dict[str, Any] = {"errors": "coerce", "format": "mixed", "utc": True}
         dates = pd.to_datetime(given.mask(year_first), dayfirst=day_first, **how)
         dates = dates.fillna(pd.to_datetime(given.where(year_first), **how))
     dates = dates.dt.tz_localize(None).reindex(column.index)
-    return dates if dates.notna().sum() >= _LEAST_SHARE * len(given) else None
+    return _DateReading(dates, day_first) if dates.notna().sum() >= _LEAST_SHARE * len(given) else None
 
 
 def _doubts(column: pd.Series, numbers: FloatArray, written: CsvFormat) -> list[str]:

@@ -18,7 +18,7 @@ from .coverage import CoverageCheck, check_coverage, coverage_band, grouped_cove
 from .novelty import NoveltyTest
 from .rank import conformal_quantile, conformal_rank, hierarchical_quantile
 from .regions import Regions
-from .scores import Aps, Density, Lac, MaxIntervals, Score, register_score
+from .scores import Aps, Density, Lac, Score, register_score
 
 if TYPE_CHECKING:
     from .calibrators.conditional import ConditionalConformal
@@ -46,7 +46,7 @@ __getattr__ = lazy_getattr(__name__, {name: module for module, names in _LATE.it
 
 __all__ = [
     "Aci", "Aps", "ConditionalConformal", "ConformalRegressor", "ConformodalError", "CoverageCheck",
-    "DataWarning", "Density", "Diagnosis", "Lac", "MaxIntervals", "MondrianConformal", "NotCalibratedError",
+    "DataWarning", "Density", "Diagnosis", "Lac", "MondrianConformal", "NotCalibratedError",
     "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
     "Regions", "Score", "SplitConformal", "StackedDensity", "WeightedConformal", "check_coverage", "conformal_quantile",
     "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band",

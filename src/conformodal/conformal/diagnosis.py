@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from conformodal.core.arrays import BoolArray
 from conformodal.core.errors import ConformodalError
-from conformodal.core.words import counted
+from conformodal.core.words import counted, readable
 
 from .calibrators.base import Joint
 from .calibrators.mondrian import MondrianConformal
@@ -121,10 +121,11 @@ class Diagnosis:
             "",
         ]
         width = max([12, *map(len, self.names)])
-        lines.append(f"{'sets':{width}}  mean length  median  90th pct  intervals  split  empty  unbounded")
+        lines.append(f"{'sets':{width}}  mean length     median   90th pct  intervals  split  empty  unbounded")
         for name, s in zip(self.names, self.sizes, strict=True):
+            mean, median, q90 = map(readable, (s.mean, s.median, s.q90))
             lines.append(
-                f"{name:{width}}  {s.mean:11.4g}  {s.median:6.4g}  {s.q90:8.4g}  {s.intervals:9.2f}  "
+                f"{name:{width}}  {mean:>11}  {median:>9}  {q90:>9}  {s.intervals:9.2f}  "
                 f"{_percent(s.split):>5}  {_percent(s.empty):>5}  {_percent(s.unbounded):>9}"
             )
         if any(0 < s.unbounded < 1 for s in self.sizes):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from scipy.special import bdtrc
@@ -92,7 +92,7 @@ class TableMemory:
     def __init__(self) -> None:
         self.columns: list[ColumnMemory] = []
 
-    def learn(self, X: Any) -> None:
+    def learn(self, X: Any) -> Self:
         """Take in the rows of a table; what is not a table of numbers, text and dates is passed over."""
         columns = _columns(X)
         self.columns = self.columns or [ColumnMemory() for _ in columns]
@@ -100,6 +100,7 @@ class TableMemory:
         for j, (memory, values) in enumerate(zip(self.columns, columns, strict=len(columns) > 0)):
             memory.learn(values)
             memory.dated, memory.zone = j in dated, j in zoned
+        return self
 
     def compare(self, X: Any) -> tuple[BoolArray, str]:
         """Rows (n,) with a label, or a missing value, where none occurred, and a warning or nothing."""

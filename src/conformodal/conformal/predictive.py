@@ -86,6 +86,12 @@ class PredictiveDensity:
         parts = zip(regions.intervals(i), self.bins.edges_, self._below, strict=True)
         return [np.diff(np.interp(ends, edges, below[i]), axis=1)[:, 0] for ends, edges, below in parts]
 
+    def flat_probabilities(self, regions: Regions, target: int = 0) -> FloatArray:
+        """Probability (m,) of each of the ``regions.flat_intervals(target)``."""
+        offsets, runs = regions.flat_runs(target)
+        rows, below = np.repeat(np.arange(len(self)), np.diff(offsets)), self._below[target]
+        return np.asarray(below[rows, runs[:, 1]] - below[rows, runs[:, 0]])
+
     def _values(self, y: npt.ArrayLike) -> FloatArray:
         column_names(y, "y", self.bins.names)
         values = as_targets(y, self.bins.n_targets)

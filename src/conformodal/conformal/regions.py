@@ -88,10 +88,15 @@ class Regions:
 
         Sample i has the rows ``offsets[i]:offsets[i + 1]`` of the ends.
         """
-        counts, runs = _flat_runs(self.masks[target])
+        offsets, runs = self.flat_runs(target)
         ends = self.bins.edges_[target][runs]
-        ends[np.repeat(self.unbounded[:, target], counts)] = self.bins.limits[target]
-        return np.concatenate(([0], np.cumsum(counts))), ends
+        ends[np.repeat(self.unbounded[:, target], np.diff(offsets))] = self.bins.limits[target]
+        return offsets, ends
+
+    def flat_runs(self, target: int = 0) -> tuple[IntArray, IntArray]:
+        """All runs of adjacent chosen bins of one target: offsets (n + 1,), first bins and ends (m, 2)."""
+        counts, runs = _flat_runs(self.masks[target])
+        return np.concatenate(([0], np.cumsum(counts))), runs
 
     @property
     def hull(self) -> FloatArray:

@@ -49,7 +49,8 @@ from .doubts import DataWarning, TableMemory, Unlike, doubt_rows
 from .predictive import PredictiveDensity
 from .regions import Regions
 from .saving import load_regressor, save_regressor
-from .scores import MaxIntervals, Score
+from .scores import Score
+from .tables import region_table
 
 Calibration: TypeAlias = Literal["random", "last"]
 Alphas: TypeAlias = Sequence[float] | Sequence[str] | FloatArray
@@ -96,9 +97,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     y_min, y_max
         Bounds that no value can pass, such as 0 for a weight: no set reaches beyond them, an unbounded one neither. A
         number for all targets, or one per target.
-    max_intervals
-        Most intervals of a set: :class:`~conformodal.conformal.MaxIntervals` then takes the place of
-        `conformity_score`.
     unlike
         Sets of new rows that miss a value, or have a label, where no row of `fit` does: ``"unbounded"``, as nothing is
         known about them, or, with ``"ignore"``, those of any other row, which may rarely contain the truth. Both are
@@ -111,6 +109,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     bins_ : QuantileBins
     estimators_ : list of d fitted estimators; of a classifier, its five fits in ``classifiers`` and their smoothing
     calibrator_ : SplitConformal, or MondrianConformal with groups
+    columns_ : names of the columns of `X`, none of an array
+    group_column_ : name of the series that `groups` were, which :meth:`predict_table` reads
 
     Examples
     --------
@@ -126,6 +126,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     [[-2.0, -2.0], [2.0, 2.0]]
     """
 
+    file_format_: dict[str, Any]  # of the file that the command line has fitted it on
     # what a pipeline passes on if scikit-learn's metadata routing is on
     __metadata_request__predict: ClassVar = {"region": True, "alpha": True, "groups": True}
 
@@ -140,7 +141,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         random_state: Any = None,
         y_min: npt.ArrayLike = -np.inf,
         y_max: npt.ArrayLike = np.inf,
-        max_intervals: int | None = None,
         unlike: Unlike = "unbounded",
         calibration: Calibration = "random",
     ) -> None:
@@ -153,7 +153,6 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.random_state = random_state
         self.y_min = y_min
         self.y_max = y_max
-        self.max_intervals = max_intervals
         self.unlike = unlike
         self.calibration = calibration
 
@@ -194,6 +193,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self._one_target = values.ndim == 1
         values = as_targets(values)
         labels = None if groups is None else as_labels(groups, len(values))
+        self.group_column_ = None if groups is None else getattr(groups, "name", None)
         members = None if units is None else as_labels(units, len(values), "units")
         weight = None if sample_weight is None else as_sample_weight(sample_weight, len(values))
         if weight is not None:
@@ -223,8 +223,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.bins_ = bins.fit(values[training])
         self.bins_.check_limits(values)
         self.bins_.names = names
-        self.memory_ = TableMemory()
-        self.memory_.learn(features)
+        self.memory_ = TableMemory().learn(features)
         self.calibrator_: Any = self._calibrator(labels is not None)
         unseen, learnt = self.joint == "max", rows_of(features, training)
         self.estimators_, out_of_fold = [], []
@@ -235,7 +234,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             out_of_fold.append(proba)
         if unseen:
             scored: list[Any] = [proba for proba in out_of_fold if proba is not None]
-            scored = scored or self._proba(learnt)  # too few rows to leave any out
+            scored = scored or self.proba_of(learnt)  # too few rows to leave any out
             self.calibrator_.fit_scale(scored, values[training[: len(scored[0])]])
         if held_out.size:
             of_groups, of_units = (None if of is None else of[held_out] for of in (labels, members))
@@ -260,12 +259,17 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """Probabilities, and whether each row is of a kind that never occurred; warns of rows unlike the training's."""
         check_is_fitted(self, "bins_")
         features = self._inputs(X)
+        unlike = self.compare_rows(features)
+        return self.proba_of(features), unlike
+
+    def compare_rows(self, features: Any) -> BoolArray:
+        """Whether the set of each row is unbounded as nothing is known about its kind; warns of unlike rows."""
         unlike, words = self.memory_.compare(features)
         if words:
             unbounded = unlike.any() and self.unlike == "unbounded"
             sets = f"; sets of the {unlike.sum()} with what never occurred are unbounded" if unbounded else ""
-            warnings.warn(f"rows unlike those of fit: {words}{sets}", DataWarning, stacklevel=4)
-        return self._proba(features), unlike & (self.unlike == "unbounded")
+            warnings.warn(f"rows unlike those of fit: {words}{sets}", DataWarning, stacklevel=5)
+        return unlike & (self.unlike == "unbounded")
 
     def predict_density(self, X: Any) -> PredictiveDensity:
         """Distributions of new samples: density, quantiles, mode, samples, and the probability of each interval."""
@@ -303,17 +307,30 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         `groups` (n,) are the samples' labels if the regressor was fitted with labels; those of a group that is new, or
         had too few calibration samples, are unbounded.
         """
-        (proba, unlike), calibrator = self._compared(X), self._calibrated()
-        labels = self._labels(groups, len(proba[0]))
-        arguments = [proba] if labels is None else [proba, labels]
-
-        def regions(rate: Alpha | None) -> Regions:
-            sets = (calibrator if rate is None else calibrator.at(rate)).predict(*arguments)
-            return Regions(self.bins_, sets.masks, sets.unbounded | unlike[:, None])
-
+        proba, unlike = self._compared(X)
         if isinstance(alpha, (list, tuple, np.ndarray)) and np.ndim(alpha):
-            return [regions(rate) for rate in alpha]
-        return regions(alpha)  # type: ignore[arg-type]
+            return [self.regions_of(proba, unlike, rate, groups) for rate in alpha]
+        return self.regions_of(proba, unlike, alpha, groups)  # type: ignore[arg-type]
+
+    def regions_of(
+        self, proba: BinProbabilities, unlike: BoolArray, alpha: Alpha | None, groups: npt.ArrayLike | None
+    ) -> Regions:
+        """Regions of rows with these probabilities; those of :meth:`compare_rows` are unbounded."""
+        calibrator, labels = self._calibrated(), self._labels(groups, len(proba[0]))
+        at = calibrator if alpha is None else calibrator.at(alpha)
+        sets = at.predict(*([proba] if labels is None else [proba, labels]))
+        return Regions(self.bins_, sets.masks, sets.unbounded | unlike[:, None])
+
+    def predict_table(self, table: Any, alpha: Alpha | None = None) -> Any:
+        """Regions of the rows of a table of pandas, polars or Arrow, as a table of the same kind; extra ``arrow``.
+
+        A pure function of the rows, for ``map_batches`` of Ray and Polars and ``map_partitions`` of Dask. Columns are
+        taken by name: their order does not matter, and those that were not learnt from are passed over. For each target
+        Y the result has the columns ``Y`` (the mean, as :meth:`predict`), ``Y_low`` and ``Y_high`` (the ends of the
+        set, null if it is empty), and ``Y_intervals``: a list of intervals with ``low``, ``high`` and ``probability``.
+        """
+        check_is_fitted(self, "bins_")
+        return region_table(self, table, alpha)
 
     def diagnose(self, X: Any, y: Any, groups: npt.ArrayLike | None = None, level: float = 0.99) -> Diagnosis:
         """Check coverage and sizes on test samples; print the result for a report.
@@ -347,13 +364,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return regressor
 
     def _calibrator(self, grouped: bool) -> Any:
-        score = self.conformity_score
-        as_choice(self.joint, Joint, "joint")
-        if self.max_intervals is not None:
-            share = as_alpha(self.alpha) / (1 if self.joint == "none" else self.bins_.n_targets)
-            score = MaxIntervals(self.max_intervals, str(share))
         kind = MondrianConformal if grouped else SplitConformal
-        calibrator = kind(self.bins_, self.alpha, score, self.joint)
+        calibrator = kind(self.bins_, self.alpha, self.conformity_score, self.joint)
         calibrator.check_parameters()
         return calibrator
 
@@ -370,8 +382,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             raise ConformodalTypeError(brief(exc, 300)) from None
         except (ValueError, OverflowError) as exc:
             raise ConformodalError(brief(exc, 300)) from None
-        columns = column_names(X, "X", None if reset else self._columns)
-        self._columns: list[str] = columns if reset else self._columns
+        columns = column_names(X, "X", None if reset else self.columns_)
+        self.columns_: list[str] = columns if reset else self.columns_
         return features if is_frame(X) or issparse(features) else as_reals(features, "X")
 
     def _table(self, X: Any, y: Any, reset: bool = False) -> tuple[Any, FloatArray, list[str] | None]:
@@ -396,7 +408,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def _calibrate(
         self, features: Any, values: FloatArray, labels: AnyArray | None, units: AnyArray | None = None
     ) -> None:
-        self.calibrator_.calibrate(self._proba(features), values, units if labels is None else labels)
+        self.calibrator_.calibrate(self.proba_of(features), values, units if labels is None else labels)
         if labels is None:
             if np.isinf(self.calibrator_.thresholds_).any():
                 n, beyond = self.calibrator_.n_units, int((self.bins_.encode(values) < 0).any(axis=1).sum())
@@ -417,7 +429,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             raise not_calibrated("calibration_size is 0: call conformalize(X_cal, y_cal) first")
         return self.calibrator_
 
-    def _proba(self, features: Any) -> BinProbabilities:
+    def proba_of(self, features: Any) -> BinProbabilities:
+        """Probabilities of the bins, of features that were checked."""
         return as_probabilities([predict_proba(model, features) for model in self.estimators_], self.bins_.sizes)
 
     def __sklearn_tags__(self) -> Any:

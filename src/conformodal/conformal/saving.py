@@ -20,7 +20,7 @@ from conformodal.core.files import read_file, replacing
 from .checks import brief
 
 _KIND = "conformodal-table-"
-_FORMAT = f"{_KIND}5"  # 4 did not know what its training rows held
+_FORMAT = f"{_KIND}6"  # 5 did not know parts of dates
 _PACKAGE = "conformodal.conformal."
 # what skops does not trust by itself: labels of groups, exact rates, compiled trees, kernels, and sparse arrays, of
 # which it knows matrices

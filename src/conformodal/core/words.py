@@ -21,6 +21,11 @@ def listed(words: Sequence[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
+def readable(value: float) -> str:
+    """A number with four digits or, from 10,000 on, its whole part: up to a billion without an exponent."""
+    return f"{value:,.0f}" if 1e4 <= abs(value) < 1e9 else f"{value:.4g}"
+
+
 def length(value: float, unit: str, digits: int = 3) -> str:
     """A length in its unit, ``m`` or ``units`` of the data's own."""
     return f"{value:.{digits}f} {unit}"

@@ -25,7 +25,7 @@ _SET, _INSIDE, _OUTSIDE = "#56B4E9", "#0072B2", "#D55E00"
 _DARKEST = 0.98  # quantile of the densities that is drawn darkest: narrow bins have peaks
 _MARGIN = 0.05
 _LARGE = 1e4  # values from here on have k, M or G on their axis
-_INCHES_PER_ROW, _LONGEST = 0.28, 32  # of a coverage, and characters of its label
+_INCHES_PER_ROW, _FEWEST_ROWS, _LONGEST = 0.28, 3, 32  # of coverages; characters of a label
 
 
 def draw_regions(
@@ -121,7 +121,8 @@ def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None)
     ax.axvline(whole.rank / (whole.n_calibration + 1), color="black", lw=0.8, ls="--")
     short = [(label if len(label) <= _LONGEST else f"{label[:_LONGEST]}…", check) for label, check in rows]
     ax.set_yticks(range(len(rows)), [f"{label} ({check.n_test})" for label, check in short])
-    ax.set_xlim(right=1.005)
+    ax.set_xlim(left=ax.get_xlim()[0] - 0.005, right=1.005)
+    ax.set_ylim(-1, max(len(rows), _FEWEST_ROWS))
     ax.set_xlabel("\n".join(filter(None, ["coverage (bars: bands, crosses: outside)", guarantee.rest()])))
     together = f"{diagnosis.level:.0%} band" + ("s, all at once" if diagnosis.n_bands > 1 else "")
     ax.set_title(f"{guarantee.name}: coverage and {together}", fontsize="medium")

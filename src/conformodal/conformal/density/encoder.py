@@ -18,6 +18,7 @@ from conformodal.core.errors import ConformodalError
 # labels of a column of text that get a column each, the most frequent ones, each in at least two rows
 _MOST_LABELS, _LEAST_ROWS = 20, 2
 _DAY = np.timedelta64(1, "D")
+_HOURS, _MONDAY = 24.0, 3  # of a day; 1970-01-01 was a Thursday
 
 
 def is_frame(X: Any) -> bool:
@@ -43,7 +44,11 @@ def as_column(column: Any, name: object, text: bool = False) -> AnyArray:
     if getattr(getattr(column, "dtype", None), "tz", None) is not None:
         column = column.dt.tz_convert(None)
     arr = np.asarray(column)
-    labels = str(getattr(column, "dtype", "")).lower().startswith(("categor", "enum"))
+    kind = str(getattr(column, "dtype", "")).lower()
+    labels = kind.startswith(("categor", "enum"))
+    if kind.startswith("str") and hasattr(column, "factorize"):  # of pandas: each label once
+        codes, distinct = column.factorize()
+        return np.asarray(np.array([*map(str, distinct), ""], dtype=np.str_)[codes])
     labels |= text and arr.dtype.kind == "O"
     if arr.dtype.kind == "O" and not labels:
         present = [value for value in arr if not is_missing(value)]
@@ -77,6 +82,26 @@ def is_time(column: Any) -> bool:
     """Whether a column holds dates or times."""
     first = next((value for value in column if not is_missing(value)), None)
     return isinstance(first, (date, np.datetime64))
+
+
+def date_parts(days: FloatArray) -> dict[str, FloatArray]:
+    """Year, month, day of the year, weekday and hour of times in days since 1970, of which none is missing."""
+    times = np.rint(days * 86_400_000).astype("M8[ms]")
+    day, month, year = (times.astype(f"M8[{unit}]") for unit in "DMY")
+    parts = {
+        "year": year.astype(np.int64) + 1970,
+        "month": month.astype(np.int64) % 12 + 1,
+        "day of the year": (day - year.astype("M8[D]")) / _DAY + 1,
+        "weekday": (day.astype(np.int64) + _MONDAY) % 7,
+        "hour": (days - np.floor(days)) * _HOURS,
+    }
+    return {name: np.asarray(values, np.float64) for name, values in parts.items()}
+
+
+def varying_parts(values: FloatArray) -> list[str]:
+    """The parts of dates, in days since 1970, that are not the same everywhere."""
+    present = values[~np.isnan(values)]
+    return [name for name, part in date_parts(present).items() if part.size and np.ptp(part)]
 
 
 def _label(value: Any) -> str:
@@ -128,13 +153,17 @@ class TableEncoder:
     """Columns of any table as finite numbers, for learners that need them.
 
     A missing number becomes the median of its column, and a column of its own marks it if any was missing in training.
-    Text becomes one column per frequent label. A column without any value in training is zero, whatever comes.
+    Text becomes one column per frequent label. Beside dates stand those of their parts that vary, as trees do not know
+    that weekdays and hours repeat. A column without any value in training is zero, whatever comes.
     """
 
     def fit(self, X: Any) -> Self:
         """Learn the medians and labels of the columns."""
         self.columns_: list[tuple[float, bool] | list[str] | None] = []
-        for values in columns_of(X):
+        columns = columns_of(X)
+        dated = {j: varying_parts(columns[j]) for j in columns_where(X, is_time)}
+        self.parts_ = {str(j): names for j, names in dated.items()}  # keys as files of skops hold them
+        for values in columns:
             if values.dtype.kind == "f":
                 gaps = np.isnan(values)
                 self.columns_.append(None if gaps.all() else (float(np.median(values[~gaps])), bool(gaps.any())))
@@ -155,13 +184,17 @@ class TableEncoder:
                 parts.append(np.zeros(len(values)))
             elif isinstance(learnt, tuple) and values.dtype.kind == "f":
                 gaps = np.isnan(values)
-                parts += [np.where(gaps, learnt[0], values), *([gaps * 1.0] if learnt[1] else [])]
+                whole = np.where(gaps, learnt[0], values)
+                parts += [whole, *([gaps * 1.0] if learnt[1] else [])]
+                if names := self.parts_.get(str(j)):
+                    of_dates = date_parts(whole)
+                    parts += [of_dates[name] for name in names]
             elif isinstance(learnt, list) and values.dtype.kind != "f":
                 parts += [(values == label) * 1.0 for label in learnt]
             else:
                 before = "text" if isinstance(learnt, list) else "numbers or dates"
                 name = X.columns[j] if is_frame(X) else j
-                raise ConformodalError(f"column {name} held {before} in training, got {brief(values[:1])}")
+                raise ConformodalError(f"column {name} held {before} in training, got {brief(values[:1].tolist())}")
         return np.column_stack(parts)
 
 

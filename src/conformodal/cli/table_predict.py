@@ -1,0 +1,145 @@
+"""``conformodal table predict``: regions of the rows of a new file, by a saved regressor."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from conformodal.conformal import ConformalRegressor
+from conformodal.conformal.tables import input_columns
+from conformodal.core.errors import ConformodalError
+from conformodal.core.extras import require_extra
+from conformodal.core.files import replacing
+from conformodal.core.words import counted, listed
+
+from .console import progress_bars, report_line, warning_lines
+from .table_csv import CsvFormat, TableError, read_table
+
+_ROWS = 65_536  # at once, and of a row group that is written
+_PARQUET, _CSV = ".parquet", ".csv"
+_NAMED = 5  # columns in a note
+
+
+def predict(
+    model: Annotated[Path, typer.Argument(help="Regressor that 'table fit --model' has saved.")],
+    file: Annotated[Path, typer.Argument(help="CSV or Parquet file with the columns that were learnt from.")],
+    out: Annotated[Path, typer.Option(help="File for the regions, .csv or .parquet.")],
+    alpha: Annotated[str | None, typer.Option(help="Miscoverage rate; that of the fit by default.")] = None,
+    sep: Annotated[str | None, typer.Option(help="Separator of a CSV file; recognised by default.")] = None,
+) -> None:
+    """Write the region of every row of a file: intervals with probabilities, their ends, and the mean."""
+    if out.suffix not in (_PARQUET, _CSV):
+        raise TableError(f"{out}: --out must end in {_CSV} or {_PARQUET}")
+    with require_extra("table", "conformodal table predict"):
+        import_module("pyarrow")
+    reg = ConformalRegressor.load(model)
+    how = getattr(reg, "file_format_", {})
+    names, n_rows, chunks = _open(file, reg, CsvFormat("\t" if sep == r"\t" else sep, **how.get("csv", {})))
+    with _naming(file):
+        needed = input_columns(reg, names)
+    copied = [name for name in how.get("identifiers", ()) if name in names]
+    others = [name for name in names if name not in (*needed, *copied)]
+    if copied:
+        report_line(f"copied: {listed(copied)}")
+    if others:
+        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
+        report_line(f"note: not read: {', '.join(others[:_NAMED])}{more}, which the model does not know")
+    told, done, n_unbounded = list[str](), 0, 0
+    with progress_bars() as progress, warning_lines(UserWarning, told.append), _writer(out) as write:
+        for table in chunks([*copied, *needed]):
+            with _naming(file):
+                regions = reg.predict_table(table.select(needed), alpha)
+            for name in reversed(copied):
+                regions = regions.add_column(0, name, table[name])
+            regions = regions.add_column(0, "row", [np.arange(done, done + len(regions))])
+            write(regions)
+            done += len(regions)
+            n_unbounded += _unbounded(regions)
+            progress("rows", done, n_rows)
+    if told:
+        again = f" (and {counted(len(told) - 1, 'warning')} of other rows)" if len(told) > 1 else ""
+        report_line(f"note: {told[0]}{again}")
+    report_line(f"{counted(done, 'row')}, {n_unbounded / max(done, 1):.1%} with an unbounded region")
+    report_line(f"regions: {out.resolve()}")
+
+
+@contextmanager
+def _naming(file: Path) -> Iterator[None]:
+    """Name the file in errors about its columns."""
+    try:
+        yield
+    except ConformodalError as exc:
+        raise TableError(f"{file}: {exc}") from None
+
+
+def _unbounded(regions: Any) -> int:
+    """Rows of which a set has an infinite end."""
+    ends = [regions[name].to_numpy() for name in regions.column_names if name.endswith(("_low", "_high"))]
+    return int(np.isinf(np.column_stack(ends)).any(axis=1).sum())
+
+
+def _open(file: Path, reg: ConformalRegressor, written: CsvFormat) -> tuple[list[str], int, Any]:
+    """Names of the columns of a file, its number of rows, and a function of names that gives its tables one by one."""
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+    from pyarrow import parquet  # noqa: PLC0415
+
+    if file.suffix != _PARQUET:
+        frame, notes = read_table(file, written)
+        for note in notes:
+            report_line(note)
+        whole = pa.Table.from_pandas(frame, preserve_index=False)
+        starts = range(0, len(frame), _ROWS)
+        return list(frame), len(frame), lambda names: (whole.select(names)[at : at + _ROWS] for at in starts)
+    try:
+        source = parquet.ParquetFile(file, pre_buffer=False)
+    except (OSError, pa.ArrowInvalid) as exc:
+        raise TableError(f"{file}: cannot be read as Parquet: {' '.join(str(exc).split())}") from None
+
+    def batches(names: list[str]) -> Iterator[Any]:
+        for batch in source.iter_batches(_ROWS, columns=names, use_threads=False):
+            yield pa.table(batch)
+
+    return source.schema_arrow.names, source.metadata.num_rows, batches
+
+
+@contextmanager
+def _writer(out: Path) -> Iterator[Any]:
+    """A function that writes tables one after another into a file, which is there when all are written."""
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+    from pyarrow import csv, parquet  # noqa: PLC0415
+
+    def as_text(table: Any) -> Any:
+        """Lists as JSON, in which infinite ends are null."""
+        for j, field in enumerate(table.schema):
+            if pa.types.is_list(field.type):
+                texts = [json.dumps([_finite(one) for one in row]) for row in table[j].to_pylist()]
+                table = table.set_column(j, field.name, [texts])
+        return table
+
+    with replacing(out) as part:
+        writer: Any = None
+
+        def write(table: Any) -> None:
+            nonlocal writer
+            table = table if out.suffix == _PARQUET else as_text(table)
+            kind = parquet.ParquetWriter if out.suffix == _PARQUET else csv.CSVWriter
+            writer = writer or kind(part, table.schema)
+            writer.write_table(table)
+
+        try:
+            yield write
+        finally:
+            if writer is not None:
+                writer.close()
+
+
+def _finite(interval: dict[str, float]) -> dict[str, float | None]:
+    return {name: value if math.isfinite(value) else None for name, value in interval.items()}

@@ -1,0 +1,96 @@
+"""Regions of the rows of a table as a table, in one schema."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from conformodal.core.arrays import BoolArray
+from conformodal.core.errors import ConformodalError
+from conformodal.core.extras import require_extra
+from conformodal.core.words import listed
+
+from .checks import Alpha, BinProbabilities, blocks, brief
+from .density.encoder import is_time
+from .predictive import PredictiveDensity
+from .regions import Regions
+
+if TYPE_CHECKING:
+    from .regressor import ConformalRegressor
+
+_MOST_NAMED = 10  # columns in a message
+
+
+def input_columns(reg: ConformalRegressor, names: list[str]) -> list[str]:
+    """The columns of a table with these names that a regressor reads, in its order; missing ones are refused."""
+    if not reg.columns_:
+        raise ConformodalError("tables are read by the names of their columns: fit on a frame, not on an array")
+    needed = [*reg.columns_, *([] if reg.group_column_ in (None, *reg.columns_) else [str(reg.group_column_)])]
+    if missing := [name for name in needed if name not in names]:
+        more = f" and {len(missing) - _MOST_NAMED} more" if len(missing) > _MOST_NAMED else ""
+        has = f"it has {brief(names, 200)}"
+        raise ConformodalError(f"the table lacks {listed([*map(repr, missing[:_MOST_NAMED])])}{more}; {has}")
+    return needed
+
+
+def as_inputs(reg: ConformalRegressor, table: Any) -> Any:
+    """The columns of a table of pandas, polars or Arrow that a regressor reads, as a frame of pandas.
+
+    Text in a column that held dates is read as dates if the year comes first.
+    """
+    names = list(map(str, getattr(table, "column_names", getattr(table, "columns", ()))))
+    needed = input_columns(reg, names)
+    frame = table[needed] if hasattr(table, "iloc") else table.select(needed).to_pandas()
+    for name, memory in zip(reg.columns_, reg.memory_.columns, strict=False):
+        column = frame[name]
+        if not memory.dated or column.dtype.kind == "M" or is_time(column):
+            continue
+        with require_extra("table", "reading text as dates"):
+            import pandas as pd  # noqa: PLC0415 - an extra
+        text = column.astype("str")
+        if column.dtype.kind in "biuf" or not text[column.notna()].str.match(r"\d{4}\D|\d{8}T").all():
+            shown = f"got {brief(column.dropna().head(1).tolist())}"
+            raise ConformodalError(f"column {name} held dates in training, {shown}: convert it with pandas.to_datetime")
+        dates = pd.to_datetime(text.where(column.notna()), format="ISO8601", utc=True)
+        frame = frame.assign(**{name: dates if memory.zone else dates.dt.tz_localize(None)})
+    return frame
+
+
+def region_table(reg: ConformalRegressor, table: Any, alpha: Alpha | None) -> Any:
+    """See :meth:`ConformalRegressor.predict_table`; rows are answered in blocks, so that memory stays bounded."""
+    with require_extra("arrow", "predict_table"):
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+    frame = as_inputs(reg, table)
+    inputs = frame[reg.columns_]
+    unlike = reg.compare_rows(inputs)
+    parts = []
+    for rows in [*blocks(len(frame))] or [slice(0, 0)]:
+        proba = reg.proba_of(inputs.iloc[rows])
+        labels = None if reg.group_column_ is None else frame[reg.group_column_].iloc[rows]
+        parts.append(_arrow_table(reg, proba, reg.regions_of(proba, unlike[rows], alpha, labels)))
+    result = pa.concat_tables(parts)
+    if hasattr(table, "iloc"):
+        return result.to_pandas().set_index(table.index)
+    if hasattr(table, "column_names"):
+        return result
+    import polars as pl  # noqa: PLC0415 - whose table it is
+
+    return pl.from_arrow(result)
+
+
+def _arrow_table(reg: ConformalRegressor, proba: BinProbabilities, regions: Regions) -> Any:
+    """An Arrow table: of each target the mean, the ends of the set and its intervals with their probabilities."""
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+
+    density, columns = PredictiveDensity(regions.bins, proba), {}
+    mean, hull = density.mean, regions.hull
+    for j, name in enumerate(regions.bins.names or [f"target {j}" for j in range(regions.bins.n_targets)]):
+        offsets, ends = regions.flat_intervals(j)
+        fields = {"low": ends[:, 0], "high": ends[:, 1], "probability": density.flat_probabilities(regions, j)}
+        struct = pa.StructArray.from_arrays([pa.array(values) for values in fields.values()], list(fields))
+        empty: BoolArray = np.diff(offsets) == 0
+        columns[name] = pa.array(mean[:, j])
+        columns[f"{name}_low"], columns[f"{name}_high"] = (pa.array(end, mask=empty) for end in hull[:, j].T)
+        columns[f"{name}_intervals"] = pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), struct)
+    return pa.table(columns)
