@@ -25,7 +25,10 @@ def results(small_world, tmp_path_factory):
     out = tmp_path_factory.mktemp("results")
     arguments = ["run", small_world.model, small_world.folder, "--out", out, "--part", "test"]
     result = run_ok(*arguments)
-    assert result.output.splitlines()[-1] == f"results: {out.resolve()}"
+    lines = result.stdout.splitlines()
+    assert lines[-2:] == [f"log: {out.resolve() / 'conformodal.log'}", f"results: {out.resolve()}"]
+    assert lines[-5:-2] == json.loads((out / "metrics.json").read_text())["verdict"]
+    assert "errors, " in (out / "conformodal.log").read_text()  # details are kept, though they are not printed
     return out
 
 
@@ -136,7 +139,7 @@ def test_evaluate_doubts_a_truth_that_is_not_what_it_seems(results, tmp_path):
 
 def test_run_counts_which_frames_show_no_known_place(small_world, tmp_path):
     arguments = ["run", small_world.model, small_world.folder, "--part", "test", "--out", tmp_path]
-    result = run_ok(*arguments, "--novelty-level", 0.2)
+    result = run_ok(*arguments, "--novelty-level", 0.2, "--verbose")
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     n, coverage = metrics["n_unknown"], metrics["coverage"]
     assert n > 1
@@ -154,7 +157,7 @@ def test_run_counts_which_frames_show_no_known_place(small_world, tmp_path):
 def test_a_split_in_blocks_has_no_coverage_guarantee(small_world, tmp_path):
     arguments = ["train", small_world.folder, "--out", tmp_path / "m", "--split", "blocks", "--epochs", "2"]
     arguments += ["--sources", "head"]  # a map a fold takes minutes
-    trained = run_ok(*arguments, "--cache", small_world.cache)
+    trained = run_ok(*arguments, "--cache", small_world.cache, "--verbose")
     model = load_model(tmp_path / "m")
     assert 9 <= model.calibration.n_units < 69
     assert describe_guarantee(model) in " ".join(trained.output.split())
@@ -252,4 +255,7 @@ def test_info_names_training_data_guarantee_and_size(small_world):
     assert set(found["bounded_regions"]) == {kind.name.lower() for kind in model.rules.by_type}
     lines = info_module.describe_facts(found)
     assert found["guarantee"] == describe_guarantee(model) in lines
-    assert invoke("info", small_world.model).stdout.replace("\n", "").startswith(lines[0])
+    shown = invoke("info", small_world.model).stdout.splitlines()
+    assert shown == found["verdict"] == json.loads((small_world.model / "metrics.json").read_text())["verdict"]
+    assert [line.split(":")[0] for line in shown] == ["coverage", "size", "next"]
+    assert invoke("info", small_world.model, "--verbose").stdout.splitlines()[:4] == [*shown, lines[0]]

@@ -18,7 +18,7 @@ from tests.helpers import run_ok
 @pytest.fixture(scope="module")
 def trained(small_world, tmp_path_factory):
     folder = tmp_path_factory.mktemp("paper")
-    options = ["--method", "paper", "--epochs", 15, "--alpha", 0.2, "--cache", small_world.cache]
+    options = ["--method", "paper", "--epochs", 15, "--alpha", 0.2, "--cache", small_world.cache, "--verbose"]
     result = run_ok("train", small_world.folder, "--out", folder / "model", *options)
     assert "the paper has no such test" in result.output
     return folder

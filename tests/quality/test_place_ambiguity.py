@@ -20,7 +20,8 @@ def answers(*frames):
     places = [[Place(0.5, np.array([x, 0, 0]), np.ones(3), FORWARD, 0.1) for x in one or []] for one in frames]
     unbounded = np.array([[one is None] * 7 for one in frames])
     kinds = np.array([EvidenceType.UNKNOWN if one is None else EvidenceType.GLOBAL for one in frames])
-    regions = SimpleNamespace(unbounded=unbounded, places=lambda i: places[i])
+    length = np.where(unbounded, np.inf, 0.5 * np.array([[len(one)] * 7 for one in places]))
+    regions = SimpleNamespace(unbounded=unbounded, places=lambda i: places[i], length=length)
     return SimpleNamespace(regions=regions, kinds=kinds)
 
 
@@ -34,6 +35,7 @@ def test_places_in_a_region_are_counted():
     places = examined([1.5], [1.5, 11.5], [1.5, 11.5, 21.5], None)
     assert places.n_places.tolist() == [1, 2, 3, 0]
     assert places.n_unknown == 1
+    assert (places.n_bounded, places.median_length) == (3, (1.0, 1.0, 1.0))
 
 
 def test_places_whose_views_have_something_in_common_are_one():

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -25,10 +26,11 @@ from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.estimates import Estimate
 from conformodal.pipeline.estimator import odometry_of
 from conformodal.pipeline.evaluate import coverage_table, error_table
+from conformodal.pipeline.guarantee import short_guarantee
 from conformodal.pipeline.identity import identify, same_poses
 from conformodal.pipeline.model import HINDSIGHT, ONLINE, PoseModel
 from conformodal.pipeline.provenance import provenance
-from conformodal.pipeline.results import ResultsWriter, record_bounded, write_metrics, write_region_parquet
+from conformodal.pipeline.results import ResultsWriter, record_bounded, record_size, write_metrics, write_region_parquet
 from conformodal.pipeline.stream import StreamRunner
 from conformodal.report.page import METHOD_LABELS, PAGE, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
@@ -149,6 +151,7 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
         some = "" if every else f"{runner.n_answered} of {counted(n_part, 'frame')} of "
         note = f"{some}the test part of split {split.kind}, seed {split.seed}."
     records = answers.writer.records
+    bounded = [one for one in records if record_bounded(one)]
     n_unknown = sum(one["evidence"] == EvidenceType.UNKNOWN.name.lower() for one in records)
     metrics: dict[str, Any] = {
         "command": "run",
@@ -163,7 +166,9 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
         "n_unreliable": sum(not one["reliable"] for one in records),
         "n_localized": runner.n_localized,
         "n_unknown": n_unknown,
-        "n_unbounded": sum(not record_bounded(one) for one in records) - n_unknown,
+        "n_unbounded": len(records) - len(bounded) - n_unknown,
+        "guarantee": short_guarantee(model),
+        "median_length": None if not bounded else np.median([record_size(one) for one in bounded], axis=0).tolist(),
         "n_without_image": runner.n_problems,
         "problems": runner.problems,
         "motion": Counter(sorted(one["motion"] for one in records if one["motion"] != "first")),
@@ -182,7 +187,43 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
         exchangeable = answers.whole and every and model.frames_are_exchangeable
         metrics["coverage"] = coverage_table(runner.statistics, model, exchangeable=exchangeable)
         metrics["path_coverage"] = runner.path_coverage
-    return metrics
+    return metrics | {"verdict": _verdict(metrics)}
+
+
+def _verdict(metrics: dict[str, Any]) -> list[str]:
+    """What holds, how large regions are, and what to do, one line each."""
+    n, n_unknown, size, unit = (metrics[name] for name in ("n_answered", "n_unknown", "median_length", "configuration"))
+    unit, coverage = unit["unit"], metrics.get("coverage")
+    holds = "no true poses here; conformodal evaluate OUT --truth FILE counts them"
+    if coverage is not None:
+        holds = f"{describe_coverage(coverage)}{_explain(coverage)}"
+    extent = "no region is bounded"
+    if size is not None:
+        extent = f"regions are {' x '.join(f'{side:.3g}' for side in size)} {unit} (x, y, z; median)"
+    if "errors" in metrics:
+        extent += f"; median error of the position {length(next(iter(metrics['errors'].values()))['median_m'], unit)}"
+    step = f"use the {n - metrics['n_unreliable']} of {counted(n, 'pose')} marked reliable; {PAGE} shows each frame"
+    if metrics["stopped"]:
+        step = f"run again, or use what there is: stopped early, {metrics['stopped']}"
+    elif n_unknown > n / 2:
+        step = f"record these places and train again: {n_unknown} of {counted(n, 'frame')} show no known place"
+    elif metrics["n_unbounded"] > n / 2:
+        step = "calibrate with more recordings, or ask for a larger --alpha: most regions are unbounded"
+    return [f"coverage: {holds} ({metrics['guarantee']})", f"size: {extent}", f"next: {step}"]
+
+
+def _explain(coverage: dict[str, Any]) -> str:
+    """Why regions hold fewer poses than were asked for."""
+    asked, share = 1 - float(coverage["alpha"]), coverage["bounded_coverage"]
+    if share is None or share >= asked:
+        return ""
+    if coverage["joint"] == "none":
+        return ", fewer than each number of the pose alone, as is to be expected of seven"
+    band = coverage["joint_band_99"]
+    if band is None:
+        return f", fewer than the {asked:g} asked for: a guarantee is an average over new stretches, and this is one"
+    within = "as" if band[0] <= coverage["joint_coverage"] else "fewer than"
+    return f", {within} chance allows ({band[0]:.3f} to {band[1]:.3f} over all frames, 99 % band)"
 
 
 def write_answers(
@@ -204,7 +245,7 @@ def write_answers(
 
 
 def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:
-    """What was answered, and what a user must know of it: the first lines of the page and on the terminal."""
+    """What was answered, in more detail than the verdict."""
     n, n_unknown = counted(metrics["n_answered"], "frame"), metrics["n_unknown"]
     lines = [
         f"{name}: {n} answered, {metrics['split_note']}",
@@ -229,42 +270,45 @@ def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:
 
 def report_outcome(name: str, metrics: dict[str, Any]) -> None:
     """The result on the terminal."""
-    for line in describe_outcome(name, metrics):
+    if "errors" in metrics and metrics["n_with_truth"] < metrics["n_answered"]:
+        report_line(f"{metrics['n_with_truth']} of {metrics['n_answered']} frames have a true pose; of these:")
+    for line in metrics["verdict"]:
         report_line(line)
+    report_detail = partial(report_line, detail=True)
+    for line in describe_outcome(name, metrics):
+        report_detail(line)
     for frame, problem in list(metrics["problems"].items())[:3]:
         report_line(f"  {frame}: {problem}")
     if "errors" not in metrics:
         return
-    if metrics["n_with_truth"] < metrics["n_answered"]:
-        report_line(f"{metrics['n_with_truth']} of {metrics['n_answered']} frames have a true pose; of these:")
-    print_errors(metrics["errors"], metrics["split_note"], metrics["configuration"]["unit"])
+    print_errors(metrics["errors"], metrics["split_note"], metrics["configuration"]["unit"], detail=True)
     coverage, band = metrics["coverage"], metrics["coverage"]["joint_band_99"]
     between = "" if band is None else f" (99 % band {band[0]:.3f} to {band[1]:.3f})"
-    report_line(
+    report_detail(
         f"{describe_coverage(coverage)}; over all frames {coverage['joint_coverage']:.3f}{between}, "
         f"alpha = {coverage['alpha']} ({coverage['joint']}). {coverage['assumption']}"
     )
     if paths := metrics["path_coverage"]:
         for path, words in ((ONLINE, "From the frames so far"), (HINDSIGHT, "With hindsight")):
             if row := paths.get(path):
-                report_line(
+                report_detail(
                     f"{words}, regions hold the pose in {100 * row['coverage']:.1f} % of the frames and name "
                     f"{row['mean_places'] or 0:.2f} places on average."
                 )
         missed = f"{paths['n_reliable_and_missed']} of {counted(paths['n_reliable'], 'reliable frame')}"
-        report_line(f"The region from the frames so far misses the pose in {missed}. {paths['assumption']}")
+        report_detail(f"The region from the frames so far misses the pose in {missed}. {paths['assumption']}")
 
 
-def print_errors(errors: dict[str, dict[str, float]], note: str, unit: str) -> None:
+def print_errors(errors: dict[str, dict[str, float]], note: str, unit: str, *, detail: bool = False) -> None:
     """The table of errors by method."""
     columns = [name for name in ("rmse_m", "rmse_deg", "median_m", "median_deg") if name in next(iter(errors.values()))]
     headings = [column.replace("_m", f"_{unit}") for column in columns]
     width = max(map(len, METHOD_LABELS.values()))
-    report_line(f"errors, {note}")
-    report_line(" │ ".join([f"{'method':<{width}}", *(f"{heading:>12}" for heading in headings)]))
+    report_line(f"errors, {note}", detail=detail)
+    report_line(" │ ".join([f"{'method':<{width}}", *(f"{heading:>12}" for heading in headings)]), detail=detail)
     for name, row in errors.items():
         label = METHOD_LABELS.get(name, name)
-        report_line(" │ ".join([f"{label:<{width}}", *(f"{row[column]:>12.4f}" for column in columns)]))
+        report_line(" │ ".join([f"{label:<{width}}", *(f"{row[column]:>12.4f}" for column in columns)]), detail=detail)
 
 
 def describe_coverage(coverage: dict[str, Any]) -> str:

@@ -8,28 +8,32 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.pipeline.guarantee import describe_guarantee, guarantees
+from conformodal.pipeline.guarantee import describe_guarantee, guarantees, short_guarantee
 from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.results import METRICS, read_metrics
 from conformodal.pipeline.store import load_model, model_digest
 
-from .console import AsJson, print_json, report_line
+from .console import AsJson, Verbose, print_json, report_line
 from .sources import SavedModel
 
 _TIMED = 20
 
 
-def info(model: SavedModel, as_json: AsJson = False) -> None:
-    """Print a saved model's training data, guarantee, size and network speed."""
+def info(model: SavedModel, verbose: Verbose = False, as_json: AsJson = False) -> None:
+    """Print what a saved model's regions hold, how large they are, and what to do next."""
     facts = _facts(load_model(model), model)
     print_json(facts)
-    for line in describe_facts(facts):
+    for line in facts["verdict"]:
         report_line(line)
+    for line in describe_facts(facts):
+        report_line(line, detail=True)
 
 
 def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
     """The facts that :func:`info` prints, for JSON."""
     rules, split, camera, config = model.rules, model.split, model.camera, model.backbone.config
     by_type = guarantees(model)
+    trained = read_metrics(folder) if (folder / METRICS).exists() else {}
     image, times = np.random.default_rng(0).integers(0, 256, (1, config.height, config.width, 3), dtype=np.uint8), []
     for _ in range(_TIMED):
         started = time.perf_counter()
@@ -50,6 +54,7 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
         "n_calibration": model.n_calibration,
         "novelty_level": rules.level,
         "bounded_regions": {one.evidence.name.lower(): one.finite for one in by_type},
+        "verdict": trained.get("verdict") or [f"coverage: {short_guarantee(model)}"],
         "guarantee": describe_guarantee(model),
         "guarantees": [one.describe() for one in by_type],
         "bytes": {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()},

@@ -36,6 +36,7 @@ from .console import (
     AsJson,
     OptionError,
     Quiet,
+    Verbose,
     print_json,
     print_where,
     progress_bars,
@@ -90,6 +91,7 @@ def run(
         bool, typer.Option("--save-images", help="Keep the images in the .mcap too.", rich_help_panel=_SHOW)
     ] = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
     as_json: AsJson = False,
 ) -> None:
     """Compute regions and the trajectory of sources with a saved model, frame by frame.

@@ -19,16 +19,16 @@ from conformodal.features.local import DETECTORS
 from conformodal.features.settings import NETWORKS, TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
-from conformodal.pipeline.guarantee import describe_guarantee, guarantees
+from conformodal.pipeline.guarantee import describe_guarantee, guarantees, short_guarantee
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import lock_output, write_metrics
 from conformodal.pipeline.store import model_digest, save_model
 from conformodal.pipeline.train import train_model
-from conformodal.quality.advice import advice, numbers, quality_record, verdict
+from conformodal.quality.advice import advice, describe_size, numbers, quality_record, verdict
 from conformodal.quality.examining import examine
 
-from .console import OptionError, Quiet, print_where, progress_bars, report_line
+from .console import OptionError, Quiet, Verbose, print_where, progress_bars, report_line
 from .sources import (
     DATA_PANEL,
     AllData,
@@ -105,6 +105,7 @@ def train(
         ),
     ] = ModelConfig.calibrate_on,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Train on a data set with poses, calibrate, and save the model."""
     share, held_out = ModelConfig.test, None
@@ -162,26 +163,35 @@ def train_on(
         "quality": None if quality is None else quality_record(quality),
         "seconds": round(time.perf_counter() - started, 2),
     }
-    write_metrics(out, metrics)
-    report_line(
+    steps = [] if quality is None else advice(quality)
+    summary = [
+        f"coverage: {short_guarantee(model)}",
+        f"size: {'see run' if quality is None else describe_size(quality)}",
+        f"next: {steps[0] if steps else f'conformodal run {out} SOURCE --out OUT'}",
+    ]
+    write_metrics(out, {**metrics, "verdict": summary})
+    for line in summary:
+        report_line(line)
+    report_detail = partial(report_line, detail=True)
+    report_detail(
         f"{sequence.name}: {counted(split['train'], 'frame')} for training, {split['calibration']} for calibration, "
         f"{split['test']} held out for testing (split {split['kind']}, seed {split['seed']})"
     )
     for line in _describe_model(model):
-        report_line(line)
+        report_detail(line)
     if split["n_test_same_picture"]:
         report_line(
             f"{split['n_test_same_picture']} of {counted(split['test'], 'test frame')} show the same picture as a "
             "training or calibration frame: their errors do not tell what to expect of new images",
             bold=True,
         )
-    report_line(describe_guarantee(model), bold=model.comparison is not None and model.comparison.too_sure)
+    report_detail(describe_guarantee(model))
     for line in [one.describe() for one in guarantees(model)] if quality is None else numbers(quality):
-        report_line(line)
+        report_detail(line)
     if quality is not None:
-        report_line(verdict(quality), bold=True)
-        for line in advice(quality):
-            report_line(line)
+        report_detail(verdict(quality))
+    for line in steps[1:]:
+        report_detail(line)
     return model
 
 

@@ -48,6 +48,24 @@ def describe_guarantee(model: PoseModel) -> str:
     return text
 
 
+def short_guarantee(model: PoseModel) -> str:
+    """What the model's regions guarantee, in half a sentence; or why they do not."""
+    rule, comparison, asked = model.calibration, model.comparison, f"{100 * (1 - model.alpha):g} %"
+    if comparison is not None and comparison.too_sure:
+        share = 100 * comparison.covered[0]
+        return (
+            f"no guarantee of the {asked} asked for: regions hold the pose in {share:.0f} % of "
+            f"{counted(comparison.n_frames, 'held-out frame')}, fewer than those of the sources that calibrate"
+        )
+    what = f"guaranteed{' for each of its numbers alone' if rule.joint == 'none' else ''} in {asked} of "
+    if rule.units_ is not None:
+        unit = "recording" if model.configuration.get("whole_recordings") else "stretch of the same recording"
+        return f"{what}the frames of a new {unit}, on average over these"
+    if model.frames_are_exchangeable:
+        return f"{what}frames drawn at random from the same recording"
+    return f"no guarantee of the {asked} asked for: random frames calibrate, and held-out stretches are unlike these"
+
+
 @dataclass(frozen=True)
 class EvidenceGuarantee:
     """What the regions of one evidence type guarantee."""

@@ -97,6 +97,11 @@ def record_bounded(record: dict[str, Any]) -> bool:
     return not any(None in part for parts in record["intervals"].values() for part in parts)
 
 
+def record_size(record: dict[str, Any]) -> list[float]:
+    """Lengths of a bounded region in x, y and z: of all its intervals together."""
+    return [sum(high - low for low, high in record["intervals"][name]) for name in TARGET_NAMES[:3]]
+
+
 def intervals_hold(records: Sequence[dict[str, Any]], truth: Trajectory, sign_reference: FloatArray) -> BoolArray:
     """Whether the intervals of each target contain its true value, (n, 7)."""
     targets = pose_targets(truth, sign_reference)

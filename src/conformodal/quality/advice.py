@@ -30,6 +30,16 @@ def verdict(quality: RecordingQuality) -> str:
     return f"good enough: yes, but {' and '.join(weak)} in places" if weak else "good enough: yes"
 
 
+def describe_size(quality: RecordingQuality) -> str:
+    """How large the regions of frames are that the model has not seen."""
+    if (places := quality.ambiguity) is None:
+        return "unknown: the model has seen all frames"
+    size = " x ".join(f"{side:.3g}" for side in places.median_length)
+    some = f"regions are {size} {quality.sequence.unit} (x, y, z; median), " if places.n_bounded else ""
+    n = counted(len(places.frames), "frame")
+    return f"{some}bounded in {places.n_bounded} of {n} that the model has not seen"
+
+
 def numbers(quality: RecordingQuality) -> list[str]:
     """The findings, one per line."""
     lines, coverage, places = [], quality.coverage, quality.ambiguity

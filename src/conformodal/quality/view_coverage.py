@@ -154,6 +154,8 @@ class Ambiguity:
     n_places: IntArray  # (m,) places in each region; 0 where the region is unbounded in some target
     n_unknown: int  # frames that show no known place, by the model's test
     stretches: list[Stretch]  # those with several places, in the order of time
+    n_bounded: int  # regions that are bounded in every target
+    median_length: tuple[float, ...]  # of these, in x, y and z; NaN without one
 
 
 def ambiguity(frames: IntArray, recording: IntArray, answers: Localization, scale: ViewScale) -> Ambiguity:
@@ -167,7 +169,10 @@ def ambiguity(frames: IntArray, recording: IntArray, answers: Localization, scal
         (x, y, z), (u, v, w) = middle.positions_xyz.tolist()
         change = scale.change(middle[:1], middle[1:]).at(0)
         stretches.append(Stretch(first, last, (x, y, z), *change, alike_xyz=(u, v, w)))
-    return Ambiguity(frames, n_places, int((answers.kinds == EvidenceType.UNKNOWN).sum()), stretches)
+    lengths = answers.regions.length[~unbounded, :3]
+    median = tuple(np.median(lengths, axis=0).tolist()) if len(lengths) else (np.nan,) * 3
+    n_unknown = int((answers.kinds == EvidenceType.UNKNOWN).sum())
+    return Ambiguity(frames, n_places, n_unknown, stretches, len(lengths), median)
 
 
 def _distinct(places: Sequence[Place], scale: ViewScale) -> list[Place]:
