@@ -27,6 +27,12 @@ def walk(dated):
     return table, np.cumsum(np.random.default_rng(3).normal(size=N))
 
 
+def change():
+    days = pd.date_range("2018-01-01", periods=N)
+    level = 2.5 * (np.arange(N) > 0.85 * N) + np.random.default_rng(4).normal(size=N)
+    return pd.DataFrame({"day": days, "temp": RNG.normal(size=N)}), level
+
+
 def repeated(noise):
     at = np.arange(N) % 300
     table = pd.DataFrame(np.random.default_rng(2).normal(size=(300, 3)), columns=list("abc"))
@@ -44,6 +50,7 @@ def numbered(table, y):
         (subjects(), "new subject"),
         (walk(True), "in time are alike"),
         (walk(False), "in order are alike"),
+        (change(), "the target depends on the date"),
         (repeated(0), "1200 of 1200 rows are identical"),
         (numbered(*repeated(0)), "1200 of 1200 rows are identical"),
         (repeated(0.1), "new set of inputs"),

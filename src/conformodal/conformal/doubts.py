@@ -11,7 +11,7 @@ from scipy.stats import rankdata
 from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.model_selection import GroupKFold
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.words import counted
 
@@ -25,8 +25,8 @@ Unlike = Literal["unbounded", "ignore"]
 _CHANCE, _FAR = 1e-3, 10.0
 # rows of a forest that stands for the learner
 _MOST_ROWS = 1000
-# told are units of which sets for 90 % hold less, and orders in which errors of neighbours correlate more
-_LEAST_HELD, _ALIKE = 0.72, 0.6
+# told are units and last rows of which sets for 90 % hold less, and orders in which errors of neighbours correlate more
+_LEAST_HELD, _LEAST_HELD_LATER, _ALIKE = 0.72, 0.8, 0.6
 
 
 class DataWarning(UserWarning):
@@ -193,28 +193,47 @@ def _doubt_order(X: Any, columns: list[Any], matrix: FloatArray, z: FloatArray) 
     order = np.argsort(dates[0] if dates else index if usable else np.arange(n), kind="stable")
     rows = order[:: -(-n // _MOST_ROWS)]
     matrix, z = matrix[rows], z[rows]
-    if dates:  # what only counts the time
-        matrix = matrix[:, (np.diff(matrix, axis=0) < 0).any(axis=0)]
-    else:
+    if not dates:
         with np.errstate(invalid="ignore"):  # of a constant
             trend = np.corrcoef(np.arange(len(z)), rankdata(z, axis=0), rowvar=False)[0, 1:]
         if np.nanmax(np.abs(trend), initial=0) > 0.98:
             return []  # by the target, for show
+    changing = matrix[:, (np.diff(matrix, axis=0) < 0).any(axis=0)]  # not what only counts the time, or the rows
+    held = _held_later(matrix if dates else changing, z)
+    matrix = changing if dates else matrix
     errors = _left_out(matrix, z, np.arange(len(z))) if matrix.shape[1] else z
     errors = errors - errors.mean(axis=0)
     alike = ((errors[1:] * errors[:-1]).mean(axis=0) / np.maximum((errors**2).mean(axis=0), 1e-300)).max()
-    if alike < _ALIKE:
+    if alike < _ALIKE and held >= _LEAST_HELD_LATER:
         return []
     told = f"rows near each other in {'time' if dates else 'order'} are alike (correlation {alike:.2f})"
+    if alike < _ALIKE:
+        told = f"the target depends on {'the date' if dates else 'the order of the rows'}: sets for 90 % may hold "
+        told += f"{held:.0%} of later rows"
     mend = "split in time (calibration='last', --split time)"
     return [f"{told}: coverage is that of rows in between, not of later rows; {mend}"]
 
 
+def _held_later(matrix: FloatArray, z: FloatArray) -> float:
+    """Share of the last fifth of rows, in time, that sets for 90 % hold if the rows before give them."""
+    if not matrix.shape[1]:
+        return 1.0
+    later = np.arange(len(z)) >= len(z) - len(z) // 5
+    reach = np.quantile(np.abs(_left_out(matrix, z, np.arange(len(z)))), 0.9, axis=0)
+    return float((np.abs(_errors(matrix, z, ~later, later)) <= reach).mean(axis=0).min())
+
+
 def _left_out(matrix: FloatArray, z: FloatArray, units: IntArray) -> FloatArray:
     """Errors (n, d) of a small forest that has not seen the unit of a row."""
-    errors, target = np.empty_like(z), z[:, 0] if z.shape[1] == 1 else z
+    errors = np.empty_like(z)
     # not cross_val_predict, which takes no groups where the user has metadata routed
     for train, left_out in GroupKFold(3, shuffle=True, random_state=0).split(matrix, groups=units):
-        forest = ExtraTreesRegressor(10, min_samples_leaf=2, random_state=0).fit(matrix[train], target[train])
-        errors[left_out] = z[left_out] - forest.predict(matrix[left_out]).reshape(-1, z.shape[1])
+        errors[left_out] = _errors(matrix, z, train, left_out)
     return errors
+
+
+def _errors(matrix: FloatArray, z: FloatArray, train: AnyArray, left_out: AnyArray) -> FloatArray:
+    """Errors (m, d) of a small forest that has learnt from some rows."""
+    target = z[train, 0] if z.shape[1] == 1 else z[train]
+    forest = ExtraTreesRegressor(10, min_samples_leaf=2, random_state=0).fit(matrix[train], target)
+    return np.asarray(z[left_out] - forest.predict(matrix[left_out]).reshape(-1, z.shape[1]))
