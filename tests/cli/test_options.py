@@ -23,7 +23,6 @@ REFUSED = [
     *(("train", f"--test={value}", "test") for value in (0, 1, "nan")),
     *(("train", f"--alpha={value}", "alpha") for value in (0, 1, 90, "nan")),
     *((command, f"--seed={value}", "seed") for command in ("train", "demo") for value in (-1, 0.5)),
-    ("run", "--novelty-level=1.5", "novelty"),
     ("train", "--test=0.9", "calibration"),
     ("train", "--network=resnet", "resnet"),
     ("train", "--score=best", "score"),

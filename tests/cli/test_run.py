@@ -28,8 +28,9 @@ def test_some_frames_of_a_part_are_not_exchangeable(small_world, tmp_path):
 def test_lengths_in_units_of_the_data_are_never_called_metres(small_world, tmp_path):
     model, out = load_model(small_world.model), tmp_path / "out"
     model.configuration["unit"] = "units"
+    model.set_novelty_level(0.3)
     save_model(model, tmp_path / "model")
-    ran = run_ok("run", tmp_path / "model", small_world.folder, "--limit", 30, "--novelty-level", 0.3, "--out", out)
+    ran = run_ok("run", tmp_path / "model", small_world.folder, "--limit", 30, "--out", out)
     evaluated = run_ok("evaluate", out, "--truth", out / "truth.tum")
     for text in (ran.output, evaluated.output, (out / "report.html").read_text()):
         assert "units" in text

@@ -9,7 +9,6 @@ from contextlib import closing
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -28,9 +27,9 @@ from conformodal.pipeline.estimator import odometry_of
 from conformodal.pipeline.evaluate import coverage_table, error_table
 from conformodal.pipeline.guarantee import short_guarantee
 from conformodal.pipeline.identity import identify, same_poses
-from conformodal.pipeline.model import HINDSIGHT, ONLINE, PoseModel
+from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.provenance import provenance
-from conformodal.pipeline.results import ResultsWriter, record_bounded, record_size, write_metrics, write_region_parquet
+from conformodal.pipeline.results import ResultsWriter, record_bounded, record_size, write_metrics
 from conformodal.pipeline.stream import StreamRunner
 from conformodal.report.page import METHOD_LABELS, PAGE, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
@@ -179,11 +178,7 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
     rows = None if truth is None else np.array(runner.rows_with_truth)
     if truth is not None and rows is not None:
         paths = {name: path[rows] for name, path in paths.items()}
-        recognised = runner.statistics.kinds != EvidenceType.UNKNOWN
         metrics |= {"n_with_truth": len(truth), "errors": error_table(paths, truth)}
-        if recognised.any() and not recognised.all():
-            subset = {name: path[recognised] for name, path in paths.items()}
-            metrics["errors_known_places"] = error_table(subset, truth[recognised])
         exchangeable = answers.whole and every and model.frames_are_exchangeable
         metrics["coverage"] = coverage_table(runner.statistics, model, exchangeable=exchangeable)
         metrics["path_coverage"] = runner.path_coverage
@@ -233,11 +228,9 @@ def write_answers(
     summary: list[str],
     walls: Sequence[FloatArray] = (),
 ) -> None:
-    """Write metrics, Parquet where it can be written, and the page."""
+    """Write metrics and the page."""
     folder, records, runner = answers.writer.folder, answers.writer.records, answers.runner
     write_metrics(folder, metrics)
-    if find_spec("pyarrow"):  # an extra
-        write_region_parquet(folder, records)
     level = answers.model.rules.level
     unit = metrics["configuration"]["unit"]
     viewer = make_viewer(records, answers.trajectories, runner.truth, answers.pictures, level, walls, unit)
@@ -253,11 +246,8 @@ def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:
         f"{metrics['n_without_image']}; with a pose from landmarks: {metrics['n_localized']}.",
     ]
     if n_unknown:
-        verb, rest = noun_for(n_unknown, "shows", "show"), metrics.get("errors_known_places", {}).get(ONLINE)
+        verb = noun_for(n_unknown, "shows", "show")
         lines.append(f"{n_unknown} of {n} {verb} no known place: the region is unbounded there.")
-        if rest is not None:
-            off = length(rest["rmse_m"], metrics["configuration"]["unit"], 4)
-            lines.append(f"Without these the online RMSE is {off} and {rest['rmse_deg']:.4f} degrees.")
     if n_unbounded := metrics["n_unbounded"]:
         lines.append(
             f"The region is unbounded in some target in {n_unbounded} of {n}, which show a known place: too few "
@@ -288,15 +278,6 @@ def report_outcome(name: str, metrics: dict[str, Any]) -> None:
         f"{describe_coverage(coverage)}; over all frames {coverage['joint_coverage']:.3f}{between}, "
         f"alpha = {coverage['alpha']} ({coverage['joint']}). {coverage['assumption']}"
     )
-    if paths := metrics["path_coverage"]:
-        for path, words in ((ONLINE, "From the frames so far"), (HINDSIGHT, "With hindsight")):
-            if row := paths.get(path):
-                report_detail(
-                    f"{words}, regions hold the pose in {100 * row['coverage']:.1f} % of the frames and name "
-                    f"{row['mean_places'] or 0:.2f} places on average."
-                )
-        missed = f"{paths['n_reliable_and_missed']} of {counted(paths['n_reliable'], 'reliable frame')}"
-        report_detail(f"The region from the frames so far misses the pose in {missed}. {paths['assumption']}")
 
 
 def print_errors(errors: dict[str, dict[str, float]], note: str, unit: str, *, detail: bool = False) -> None:

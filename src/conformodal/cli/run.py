@@ -66,15 +66,6 @@ def run(
         Part.ALL
     ),
     alpha: Annotated[float | None, typer.Option(help="Another miscoverage rate than the model was saved with.")] = None,
-    novelty_level: Annotated[
-        float | None,
-        typer.Option(
-            min=0,
-            max=1,
-            help="Another level than the model was saved with: an image whose p-value of showing a known place is at "
-            "most this gets an unbounded region.",
-        ),
-    ] = None,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
     view: Annotated[
@@ -103,10 +94,6 @@ def run(
         loaded = load_model(model)
         if alpha is not None:
             loaded.recalibrate(alpha)
-        if novelty_level is not None:
-            if novelty_level and loaded.novelty is None:
-                raise OptionError(f"--novelty-level: the model has no test for unknown places, got {novelty_level:g}")
-            loaded.set_novelty_level(novelty_level)
         whole = part is Part.ALL
         lens = loaded.camera if whole else None  # sources without calibration have no parts
         opened = [open_source(one, layout, topic=topic, as_trained=not whole, camera=lens) for one in sources]

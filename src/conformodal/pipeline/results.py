@@ -16,9 +16,8 @@ import numpy as np
 
 from conformodal.conformal import ConformodalError
 from conformodal.core.arrays import BoolArray, FloatArray
-from conformodal.core.extras import require_extra
-from conformodal.core.files import read_file, replacing, write_whole
-from conformodal.core.words import as_utf8, finite_or_none
+from conformodal.core.files import read_file, write_whole
+from conformodal.core.words import finite_or_none
 from conformodal.geometry import Trajectory
 from conformodal.io.folders import FolderError, writing_in
 from conformodal.io.pose_files import TUM_HEADER, read_tum, tum_lines
@@ -31,7 +30,6 @@ from .estimates import Estimate
 from .model import METHODS, PAPERS_METHOD
 
 REGIONS, METRICS, TRAJECTORY, TRUTH = "regions.jsonl", "metrics.json", "trajectory.tum", "truth.tum"
-PARQUET = "regions.parquet"
 UNFINISHED = ".part"  # follows the name of a file that a run has not finished, or was killed before it had
 _ANY_SIGN = np.array([1.0, 0.1, 0.01, 0.001])  # tells q from -q
 # The files of each command. The first tells whose a folder is that has no metrics; commands that run others come first.
@@ -163,7 +161,7 @@ class ResultsWriter:
         for file in self._open.values():
             file.close()
         if kind is None:
-            old = [TRUTH, PARQUET, "report.html", f"evaluation/{METRICS}", METRICS]
+            old = [TRUTH, "regions.parquet", "report.html", f"evaluation/{METRICS}", METRICS]
             old += [f"methods/{path.name}" for path in (self.folder / "methods").glob("*.tum")]
             for name in set(old) - self._open.keys():
                 (self.folder / name).unlink(missing_ok=True)
@@ -210,35 +208,6 @@ def _digest(path: Path) -> str:
 def write_metrics(folder: Path, metrics: dict[str, Any]) -> None:
     """Write ``metrics.json``."""
     write_whole(folder / METRICS, json.dumps(metrics, indent=1, allow_nan=False) + "\n")
-
-
-def write_region_parquet(folder: Path, records: Iterable[dict[str, Any]]) -> None:
-    """Write records as ``regions.parquet`` (extra ``arrow``), one row per frame.
-
-    A target is a column ``list<fixed_size_list<double>[2]>`` of sorted, disjoint intervals; ends without a bound are
-    infinite. Places are lists of structs.
-    """
-    with require_extra("arrow", "Parquet"):
-        import pyarrow as pa  # noqa: PLC0415 - an extra
-        import pyarrow.parquet as pq  # noqa: PLC0415
-    number, text, intervals = pa.float64(), pa.string(), pa.list_(pa.list_(pa.float64(), 2))
-    vectors = [(name, pa.list_(number)) for name in ("position_xyz", "orientation_quat_wxyz", "sigma_m")]
-    place = pa.struct([("p", number), ("sigma_rad", number), ("box", intervals), *vectors])
-    plain = {"timestamp_s": number, "frame": text, "reliable": pa.bool_(), "place_p": number, "known_p": number}
-    plain |= {"evidence": text, "motion": text}
-    places = {name: pa.list_(place) for name in ("places", "path_places")}
-    schema = pa.schema([*plain.items(), *((name, intervals) for name in TARGET_NAMES), *places.items()])
-
-    def row(record: dict[str, Any]) -> dict[str, Any]:
-        boxes = {
-            name: None if record[name] is None else [p | {"box": _infinite(p["box"])} for p in record[name]]
-            for name in places
-        }
-        targets = {name: _infinite(parts) for name, parts in record["intervals"].items()}
-        return {**{name: record[name] for name in plain}, "frame": as_utf8(record["frame"]), **targets, **boxes}
-
-    with replacing(folder / PARQUET) as part:
-        pq.write_table(pa.Table.from_pylist([row(record) for record in records], schema), part)
 
 
 def _infinite(parts: list[list[float | None]]) -> list[list[float]]:
