@@ -42,7 +42,6 @@ for CALIBRATOR in (SPLIT, JOINT):
     CALIBRATOR.calibrate(P, Y)
 NOVELTY = cm.NoveltyTest(X, G)
 MONDRIAN = cm.MondrianConformal(BINS, 0.2).calibrate(P, Y, G)
-WEIGHTED = cm.WeightedConformal(BINS, 0.2).calibrate(P, Y, W)
 ONLINE = cm.OnlineConformal(BINS, 0.2).update(P, Y)
 
 # one argument of a public function: good values for it, and what the function makes of them
@@ -55,8 +54,6 @@ ENTRIES = {
     "fit_scale": (P, lambda p: [cm.SplitConformal(BINS, 0.2, joint="max").fit_scale(p, Y).scale_]),
     "regions_at": (Y[0] / 8, lambda t: parts(SPLIT.regions_at(P, t))),
     "mondrian predict": (P, lambda p: parts(MONDRIAN.predict(p, G))),
-    "weights": (W, lambda w: [cm.WeightedConformal(BINS, 0.2).calibrate(P, Y, w).thresholds([1.0])]),
-    "new weights": (W, lambda w: parts(WEIGHTED.predict(P, w))),
     "conditions": (W, lambda w: [cm.ConditionalConformal(BINS, 0.2).calibrate(P, Y, w).thresholds([1.0])]),
     "online run": (P, lambda p: parts(cm.OnlineConformal(BINS, 0.2).run(p, Y))),
     "bins fit": (Y, lambda y: cm.QuantileBins(4).fit(y).edges_),

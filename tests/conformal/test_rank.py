@@ -55,7 +55,6 @@ def calibrators(n, alpha):
     yield scaled.calibrate(proba, y).predict(proba[:1])
     yield cm.SplitConformal(bins, 0.5, PlaceScore()).calibrate(proba, y).at(alpha).predict(proba[:1])
     yield cm.MondrianConformal(*settings).calibrate(proba, y, same).predict(proba[:1], [0])
-    yield cm.WeightedConformal(*settings).calibrate(proba, y, same + 0.3).predict(proba[:1], [0.3])
 
 
 def test_every_calibrator_where_floats_would_miss():

@@ -25,7 +25,6 @@ GROUPS = np.arange(N) % 3
 SPLIT = cm.SplitConformal(BINS, 0.2).calibrate(P, Y)
 REGIONS = SPLIT.predict(P)
 MONDRIAN = cm.MondrianConformal(BINS, 0.2).calibrate(P, Y, GROUPS)
-WEIGHTED = cm.WeightedConformal(BINS, 0.2).calibrate(P, Y, W)
 CONDITIONAL = cm.ConditionalConformal(BINS, 0.2).calibrate(P, Y, W)
 NAMED = cm.ConditionalConformal(BINS, 0.2).calibrate(P, Y, pd.DataFrame({"a": W, "b": W}))
 NOVELTY = cm.NoveltyTest(X, GROUPS)
@@ -119,9 +118,6 @@ REFUSED = [
     ("scores", lambda: cm.SplitConformal(BINS).calibrate_scores(np.zeros(3))),
     ("fit_scale", lambda: split(joint="max")),
     ("thresholds", lambda: SPLIT.regions_at(P, [np.nan, 0.5])),
-    ("weights", lambda: cm.WeightedConformal(BINS).calibrate(P, Y, -W)),
-    ("weights", lambda: cm.WeightedConformal(BINS).calibrate(P, Y, W[:3])),
-    ("80 rows", lambda: WEIGHTED.predict(P, W[:2])),
     ("conditions", lambda: cm.ConditionalConformal(BINS).calibrate(P, Y, W[:3])),
     ("conditions", lambda: CONDITIONAL.predict(P, np.ones((N, 2)))),
     ("80 rows", lambda: CONDITIONAL.predict(P, W[:2])),

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from .calibrators.conditional import ConditionalConformal
     from .calibrators.mondrian import MondrianConformal
     from .calibrators.online import Aci, OnlineConformal
-    from .calibrators.weighted import WeightedConformal
     from .density.named import QuickDensity, StackedDensity
     from .diagnosis import Diagnosis, diagnose
     from .doubts import DataWarning
@@ -35,7 +34,6 @@ _LATE = {  # a camera needs none of these, and scikit-learn takes half a second 
     ".calibrators.conditional": ("ConditionalConformal",),
     ".calibrators.mondrian": ("MondrianConformal",),
     ".calibrators.online": ("Aci", "OnlineConformal"),
-    ".calibrators.weighted": ("WeightedConformal",),
     ".density.named": ("QuickDensity", "StackedDensity"),
     ".diagnosis": ("Diagnosis", "diagnose"),
     ".doubts": ("DataWarning",),
@@ -48,7 +46,7 @@ __all__ = [
     "Aci", "Aps", "ConditionalConformal", "ConformalRegressor", "ConformodalError", "CoverageCheck",
     "DataWarning", "Density", "Diagnosis", "Lac", "MondrianConformal", "NotCalibratedError",
     "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
-    "Regions", "Score", "SplitConformal", "StackedDensity", "WeightedConformal", "check_coverage", "conformal_quantile",
+    "Regions", "Score", "SplitConformal", "StackedDensity", "check_coverage", "conformal_quantile",
     "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band",
     "hierarchical_quantile", "register_score",
 ]  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Self
 
 import numpy as np
@@ -12,12 +12,13 @@ from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.ranges import RANGES, Range
 
-from .checks import as_doubles, as_targets, brief, check_number, not_calibrated
+from .checks import as_doubles, as_finite, as_targets, brief, check_number, not_calibrated
 
 # half the width, relative to the value's size, of the only bin of a target that never changes
 _CONSTANT_HALF_WIDTH = 1e-6
 # least standard deviation of a Gaussian over bin numbers; a narrower one is one-hot, its exponents would overflow
 _LEAST_SIGMA = 1e-100
+_LEAST_WIDTH = 1e-9  # of a distribution, as a share of the range of all bins
 _SHARE_OF_RANGE = Range(0)
 
 
@@ -165,6 +166,55 @@ class QuantileBins:
             codes[arr[:, j] == e[-1], j] = e.size - 2
             codes[codes[:, j] > e.size - 2, j] = -1
         return codes
+
+    def proba_from_cdf(self, cdf: Callable[[float], npt.ArrayLike], target: int = 0) -> FloatArray:
+        """Probabilities (n, K) of one target's bins; ``cdf(y)`` gives, for n samples, that of values up to `y`.
+
+        Outer bins get what lies beyond them.
+        """
+        edges = self._edges()[target]
+        below = [as_finite(cdf(float(edge)), "cdf", "(n,)") for edge in edges[1:-1]]
+        return self._differences(np.stack(below, axis=1) if below else np.empty((len(np.asarray(cdf(0.0))), 0)))
+
+    def proba_from_quantiles(self, levels: npt.ArrayLike, values: npt.ArrayLike, target: int = 0) -> FloatArray:
+        """Probabilities (n, K) of one target's bins from quantiles, `values` (n, L) at the `levels` (L,).
+
+        Distributions are uniform between quantiles. Beyond the outer ones they fall off exponentially. Quantiles
+        that cross are sorted.
+        """
+        at, given = as_finite(levels, "levels", "(L,)"), np.sort(as_finite(values, "values", "(n, L)"), axis=1)
+        if at.size < 2 or given.shape[1] != at.size or not (at[0] > 0 and (np.diff(at) > 0).all() and at[-1] < 1):
+            raise ConformodalError(
+                f"levels must increase in (0, 1), two or more, one per column of values, {brief(at)}"
+            )
+        edges = self._edges()[target][1:-1]
+        below = np.stack([np.interp(edges, row, at) for row in given]) if len(given) else np.empty((0, edges.size))
+        for sign, end, inner, mass, step in (
+            (1, 0, 1, at[0], at[1] - at[0]),
+            (-1, -1, -2, 1 - at[-1], at[-1] - at[-2]),
+        ):
+            # the density goes on where it was; equal quantiles lend the width that all have on average
+            usual = np.maximum(np.ptp(given, axis=1) / at.size, _LEAST_WIDTH * np.ptp(self.edges_[target]))
+            width = np.where(given[:, inner] == given[:, end], usual, np.abs(given[:, inner] - given[:, end]))
+            beyond = sign * (given[:, [end]] - edges) / (width * mass / step)[:, None]
+            tail = mass * np.exp(-np.maximum(beyond, 0))
+            below = np.where(beyond > 0, tail if sign == 1 else 1 - tail, below)
+        return self._differences(below)
+
+    def proba_from_samples(self, samples: npt.ArrayLike, target: int = 0) -> FloatArray:
+        """Probabilities (n, K) of one target's bins from draws (n, S) of each sample's distribution.
+
+        The more draws, the more of their quantiles are taken: few smooth the chance out of which values were drawn.
+        """
+        draws = as_finite(samples, "samples", "(n, S)")
+        n_levels = max(2, round(2 * draws.shape[1] ** 0.4))
+        levels = (np.arange(n_levels) + 0.5) / n_levels
+        return self.proba_from_quantiles(levels, np.quantile(draws, levels, axis=1).T, target)
+
+    def _differences(self, below: FloatArray) -> FloatArray:
+        """Probabilities (n, K) from those of values up to the inner edges (n, K - 1)."""
+        whole = np.pad(np.clip(below, 0, 1), ((0, 0), (1, 1)), constant_values=((0, 0), (0, 1)))
+        return np.asarray(np.maximum(np.diff(whole, axis=1), 0))
 
     def soft_targets(self, y: npt.ArrayLike, sigma_bins: float) -> list[FloatArray]:
         """Order-aware class targets: a Gaussian over bin numbers around `y`; d arrays (n, K_d) whose rows sum to one.

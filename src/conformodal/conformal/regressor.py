@@ -79,8 +79,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     estimator
         None or ``"quick"`` for :class:`QuickDensity`, in seconds; ``"stack"`` for :class:`StackedDensity`, in minutes
         with shorter sets; any classifier with ``predict_proba``, fitted five times on bin numbers without every fifth
-        row, averaged, and smoothed over bins as the left-out rows require; or an object with ``fit_bins(X, y, edges)``
-        and ``predict_proba``.
+        row, averaged, and smoothed over bins as the left-out rows require; a regressor that predicts distributions, by
+        ``pred_dist(X)``, ``predict_quantiles(X, levels)`` or ``predict(X, quantiles=)``; or an object with
+        ``fit_bins(X, y, edges)`` and ``predict_proba``. One in scikit-learn's ``FrozenEstimator`` is not fitted again.
     n_bins
         Bins per target. None: 200 for an object with ``fit_bins`` (these smooth over bins), 50 for a classifier.
     alpha
@@ -180,7 +181,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             (n,) weights of at least 0, up to a factor, for the learner only (``"stack"`` takes none). Samples of weight
             0 are left out. All others calibrate alike: coverage is guaranteed for a new sample that is exchangeable
             with the samples of positive weight, not for a population in which samples are as frequent as they weigh;
-            for that, calibrate :class:`~conformodal.conformal.WeightedConformal` on :meth:`predict_bins`.
+            for that, calibrate :class:`ConditionalConformal` on :meth:`predict_bins`, with the weights as a condition.
         groups
             (n,) labels, as text, numbers or dates: coverage is then guaranteed within each group, see
             :class:`MondrianConformal`; each is split by itself. For groups that overlap, see

@@ -27,7 +27,7 @@ def test_membership_is_score_at_most_threshold(problem, seed, score, joint, alph
 @pytest.mark.parametrize(
     ("kind", "extra"),
     [
-        (cm.SplitConformal, ()), (cm.MondrianConformal, (np.zeros(9),)), (cm.WeightedConformal, (np.ones(9),)),
+        (cm.SplitConformal, ()), (cm.MondrianConformal, (np.zeros(9),)),
         (cm.ConditionalConformal, (np.ones(9),)),
     ],
 )  # fmt: skip
@@ -44,13 +44,12 @@ def test_rows_that_the_scales_have_seen_do_not_calibrate(problem, kind, extra):
 @settings(deadline=None, max_examples=40)
 @given(st.integers(0, 10_000), st.sampled_from(SCORES))
 @example(130, "lac")  # so many values outside the edges that one target's threshold is infinite, the other's not
-def test_one_group_and_equal_weights_are_split_conformal(problem, seed, score):
+def test_one_group_is_split_conformal(problem, seed, score):
     bins, proba, y = problem(seed, n=80)
     split = cm.SplitConformal(bins, 0.2, score).calibrate(proba[:40], y[:40]).predict(proba[40:])
     same = np.full(40, 0.1)
     others = [
         cm.MondrianConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict(proba[40:], same),
-        cm.WeightedConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict(proba[40:], same),
         cm.ConditionalConformal(bins, 0.2, score).calibrate(proba[:40], y[:40], same).predict(proba[40:], same),
     ]
     for other in others:
@@ -113,7 +112,7 @@ def test_scores_that_differ_by_rounding_are_tied(dtype, score, joint):
     y, groups = rng.choice(6, 200, p=exact[0] / exact[0].sum(dtype=float)) + 0.5, np.ones(200)
     kinds = [
         (cm.SplitConformal, (), ()), (cm.MondrianConformal, (groups,), (groups,)),
-        (cm.WeightedConformal, (groups,), (groups,)), (cm.ConditionalConformal, (groups,), (groups,)),
+        (cm.ConditionalConformal, (groups,), (groups,)),
     ]  # fmt: skip
     for kind, calibrated, asked in kinds:
         sets = []

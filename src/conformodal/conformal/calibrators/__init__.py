@@ -1,1 +1,1 @@
-"""Conformal calibration, from scores to thresholds: split, Mondrian (by group), weighted (covariate shift)."""
+"""Conformal calibration, from scores to thresholds: split, Mondrian (by group), conditional, online."""

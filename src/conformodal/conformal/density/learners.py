@@ -17,6 +17,7 @@ from conformodal.core.arrays import AnyArray, FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.words import counted
 
+from .distributions import DistributionRegressor, reader_of
 from .encoder import rows_of
 from .mixture import log_density, mixture_weights
 from .named import QuickDensity, StackedDensity
@@ -40,6 +41,8 @@ def as_learner(estimator: Any, random_state: int) -> tuple[Any, bool]:
     """The learner that `estimator` names or is, and whether it learns densities over bins."""
     if estimator is None or estimator in get_args(LearnerName):
         return (StackedDensity if estimator == "stack" else QuickDensity)(random_state=random_state), True
+    if not isinstance(estimator, type) and not hasattr(estimator, "fit_bins") and reader_of(estimator) is not None:
+        estimator = DistributionRegressor(estimator)
     dense = hasattr(estimator, "fit_bins")
     methods = ("fit_bins" if dense else "fit", "predict_proba", "get_params")
     if isinstance(estimator, type) or not all(hasattr(estimator, method) for method in methods):

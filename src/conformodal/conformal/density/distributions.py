@@ -1,0 +1,66 @@
+"""Regressors that predict distributions, as learners of densities over bins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from inspect import signature
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+from sklearn.base import BaseEstimator, clone
+
+from conformodal.conformal.bins import QuantileBins
+from conformodal.core.arrays import FloatArray
+
+# of a fitted estimator, rows and the bins of one target: probabilities of the bins (n, K)
+Reader: TypeAlias = Callable[[Any, Any, QuantileBins], FloatArray]
+_LEVELS = np.linspace(0.005, 0.995, 100)
+
+
+def _of_distribution(model: Any, X: Any, bins: QuantileBins) -> FloatArray:
+    return bins.proba_from_cdf(model.pred_dist(X).cdf)
+
+
+def _of_quantiles(model: Any, X: Any, bins: QuantileBins) -> FloatArray:
+    return bins.proba_from_quantiles(_LEVELS, np.asarray(model.predict_quantiles(X, _LEVELS.tolist())))
+
+
+def _of_predict(model: Any, X: Any, bins: QuantileBins) -> FloatArray:
+    return bins.proba_from_quantiles(_LEVELS, np.asarray(model.predict(X, quantiles=_LEVELS.tolist())))
+
+
+# Readers by the method that they call, and its argument, in the order in which they are tried. More can be added.
+READERS: dict[tuple[str, str], Reader] = {
+    ("pred_dist", "X"): _of_distribution,  # NGBoost
+    ("predict_quantiles", "X"): _of_quantiles,
+    ("predict", "quantiles"): _of_predict,  # quantile-forest
+}
+
+
+def reader_of(estimator: Any) -> Reader | None:
+    """The reader of an estimator's distributions; None if it predicts none."""
+    for (method, argument), reader in READERS.items():
+        call = getattr(estimator, method, None)
+        if callable(call) and argument in signature(call).parameters:
+            return reader
+    return None
+
+
+class DistributionRegressor(BaseEstimator):  # type: ignore[misc]
+    """A density over bins from an estimator that predicts distributions; one in ``FrozenEstimator`` is not refitted."""
+
+    def __init__(self, estimator: Any) -> None:
+        self.estimator = estimator
+
+    def fit_bins(self, X: Any, y: FloatArray, edges: FloatArray, **options: Any) -> Self:
+        """Fit a clone of the estimator; `options` such as ``sample_weight`` are its own."""
+        self.bins_ = QuantileBins.from_edges([edges])
+        self.model_ = clone(self.estimator)
+        self.model_.fit(X, y, **options)
+        return self
+
+    def predict_proba(self, X: Any) -> FloatArray:
+        """Probabilities (n, K) of the bins."""
+        reader = reader_of(self.model_)
+        assert reader is not None
+        return reader(self.model_, X, self.bins_)
