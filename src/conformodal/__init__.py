@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from .pipeline.estimator import VisualOdometry
     from .pipeline.model import PoseModel
     from .pipeline.train import train_model
-    from .report.tables import draw_coverage, draw_diagnosis, draw_regions
+    from .report.tables import draw_coverage, draw_regions
 
 __all__ = [
     "ConformalRegressor",
@@ -46,7 +46,6 @@ __all__ = [
     "conformal_rank",
     "coverage_band",
     "draw_coverage",
-    "draw_diagnosis",
     "draw_regions",
     "open_stream",
     "read_recording",
@@ -59,7 +58,6 @@ _MODULES = {
     "Trajectory": ".geometry",
     "VisualOdometry": ".pipeline.estimator",
     "draw_coverage": ".report.tables",
-    "draw_diagnosis": ".report.tables",
     "draw_regions": ".report.tables",
     "open_stream": ".io.streams",
     "read_recording": ".io",

@@ -134,7 +134,11 @@ def fit(
             true = y[name].iloc[test[row]]
             report_line(f"line {X.index[test[row]]}, {name}: {ranges} (true: {readable(true)})")
     report_line(f"rows with several intervals: {several.mean():.0%}")
-    about = f"rows of any new {unit}" if unit else "the last rows" if split is Split.TIME else "rows drawn at random"
+    about = f"rows of any new {unit}" if unit else "rows drawn at random"
+    if split is Split.TIME:
+        about = "the last rows, calibrated on those before; no split guarantees that of later ones"
+    elif X.select_dtypes("datetime").shape[1]:
+        about += "; for that of the last rows in time: --split time"
     report_line(f"coverage below is that of {about}")
     with warnings.catch_warnings(action="ignore", category=DataWarning):  # which are told above
         diagnosis = reg.diagnose(X.iloc[test], y.iloc[test], test_groups)
@@ -200,6 +204,7 @@ def _draw(density: PredictiveDensity, regions: Regions, y: pd.DataFrame, diagnos
         some = PredictiveDensity(density.bins, [part[rows] for part in density.proba])
         place = pd.Series(np.arange(len(rows)), name=f"{len(rows):,} of {len(y):,} unseen rows, by predicted mean")
         draw_regions(regions[rows], y.iloc[rows], place, some, j, left)
+        left.set_title(f"{y.columns[j]}: sets at alpha = {diagnosis.alpha} and true values", fontsize="medium")
         if j < len(diagnosis.columns):
             draw_coverage(diagnosis, j, right)
         else:

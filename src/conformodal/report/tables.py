@@ -13,7 +13,6 @@ from conformodal.conformal import ConformodalError, Diagnosis, PredictiveDensity
 from conformodal.conformal.checks import as_finite, as_targets
 from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
-from conformodal.core.words import counted
 
 with require_extra("figures", "a picture of regions or coverage"):
     from matplotlib.axes import Axes
@@ -138,33 +137,6 @@ def _new_figure(**options: Any) -> Figure:
     """A figure of pyplot where that is in use, for ``plt.savefig``; elsewhere one that nothing keeps in memory."""
     pyplot = sys.modules.get("matplotlib.pyplot")
     return (Figure if pyplot is None else pyplot.figure)(layout="constrained", **options)
-
-
-def draw_diagnosis(diagnosis: Diagnosis, path: str | Path | None = None) -> Figure:
-    """Draw a diagnosis: the coverages of all guarantees beside their bands, see :func:`draw_coverage`.
-
-    For an example see ``docs/tutorial.md``. `path` is where to write it, if anywhere; the suffix says as what
-    (``.svg``, ``.png``, ``.pdf``).
-    """
-    heights = [coverage_height(diagnosis, j) for j in range(len(diagnosis.columns))]
-    figure = _new_figure(figsize=(8, sum(heights) + 1.2))
-    axes = figure.subplots(len(heights), squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
-    for j, ax in enumerate(axes):
-        draw_coverage(diagnosis, j, ax)
-    sizes = "; ".join(
-        f"{name}: mean length {s.mean:.3g}, {s.intervals:.2f} intervals"
-        for name, s in zip(diagnosis.names, diagnosis.sizes, strict=True)
-    )
-    figure.suptitle(
-        f"Conformal sets, alpha = {diagnosis.alpha}, score {diagnosis.score}, joint {diagnosis.joint}; "
-        f"{diagnosis.n_calibration} calibration, {counted(diagnosis.n_test, 'test sample')}, taken to be "
-        f"exchangeable\n{sizes}",
-        fontsize="medium",
-        wrap=True,
-    )
-    if path is not None:
-        save_picture(figure, Path(path))
-    return figure
 
 
 def save_picture(figure: Figure, path: Path) -> None:
