@@ -47,16 +47,14 @@ def test_a_diagnosis_reports_a_broken_guarantee():
 
 
 def test_bands_of_many_groups_hold_at_once_and_the_ten_lowest_are_shown():
-    rng = np.random.default_rng(0)
-    bins, proba = QuantileBins.from_edges([np.linspace(0, 1, 21)]), rng.dirichlet(np.ones(20), 100_000)
-    outside, labels = 0, np.arange(700) % 70
+    bins, outside = QuantileBins.from_edges([np.linspace(0, 1, 21)]), 0
     for seed in range(100):
-        rows = np.random.default_rng(seed).choice(100_000, 1100, replace=False)
-        y = np.random.default_rng(seed).random(1100)
-        cal = SplitConformal(bins, 0.1, "density").calibrate(proba[rows[:400]], y[:400])
-        result = diagnose(cal, proba[rows[400:]], y[400:], labels)
-        outside += not all(check.inside for _, check in [*result.columns[0].parts.items(), *result.columns[0].rows()])
+        rng = np.random.default_rng(seed)
+        proba, y = rng.dirichlet(np.ones(20), 1100), rng.random(1100)
+        cal = SplitConformal(bins, 0.1, "density").calibrate(proba[:400], y[:400])
+        result = diagnose(cal, proba[400:], y[400:], np.arange(700) % 70)
+        outside += not all(check.inside for check in (result.columns[0].coverage, *result.columns[0].parts.values()))
     assert outside <= 5  # of 100, each outside with probability 0.01
-    assert [len(result.columns[0].rows()), result.n_bands] == [11, 71]
+    assert len(result.columns[0].rows()) == 11
     assert "60 others: 60 within" in str(result)
     assert "All 71 bands hold at once with probability 99 %" in str(result)

@@ -44,6 +44,7 @@ def test_the_mode_is_in_the_densest_bin(density):
 def test_each_interval_has_its_probability(density):
     y = density.sample(random_state=1)[0]
     regions = SplitConformal(BINS, 0.3, "density").calibrate(PROBA, y).predict(PROBA)
-    for i in range(50):
-        for found, mask, proba in zip(density.probabilities(regions, i), regions.masks, PROBA, strict=True):
-            assert found.sum() == pytest.approx((proba[i] * mask[i]).sum())
+    for j, (mask, proba) in enumerate(zip(regions.masks, PROBA, strict=True)):
+        offsets, _ = regions.flat_intervals(j)
+        for i, parts in enumerate(np.split(density.flat_probabilities(regions, j), offsets[1:-1])):
+            assert parts.sum() == pytest.approx((proba[i] * mask[i]).sum())

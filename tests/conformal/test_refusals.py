@@ -140,7 +140,7 @@ REFUSED = [
     ("row 0", lambda: cm.QuantileBins(9, y_min=5).fit(Y)),
     ("row 0", lambda: tree(y_min=0).fit(X, Y).conformalize(X, -1 - Y)),
     ("order", lambda: cm.Aps("size")),
-    ("regions", lambda: FITTED.predict_density(X).probabilities(REGIONS[:3], 0)),
+    ("regions", lambda: FITTED.predict_density(X).flat_probabilities(REGIONS[:3])),
     ("y", lambda: FITTED.predict_density(X).pdf([1.0])),
     ("q must", lambda: FITTED.predict_density(X).quantile(1.5)),
     ("groups", lambda: FITTED.predict_region(X, groups=GROUPS)),

@@ -112,8 +112,11 @@ def test_a_table_of_arrow_is_taken_as_one_of_pandas():
     pa = pytest.importorskip("pyarrow")
     X, y = frame()
     numbers = X[["age"]].fillna(50)
-    reg = tree().fit(pa.Table.from_pandas(numbers), y)
-    np.testing.assert_array_equal(reg.predict(pa.Table.from_pandas(numbers)), tree().fit(numbers, y).predict(numbers))
+    expected = tree().fit(numbers, y).predict(numbers)
+    for same in (pa.Table.from_pandas(numbers), numbers.convert_dtypes(dtype_backend="pyarrow")):
+        reg = tree().fit(same, y)
+        np.testing.assert_array_equal(reg.predict(same), expected)
+        np.testing.assert_array_equal(reg.predict_table(same)[reg.bins_.names[0]], expected)
 
 
 def test_columns_in_another_order_are_refused_whatever_their_names_are():

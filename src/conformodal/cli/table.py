@@ -92,8 +92,8 @@ def fit(
         list[str] | None, typer.Option(help="Text that means a missing value; repeatable.", rich_help_panel=_READING)
     ] = None,
     alpha: Annotated[str, typer.Option(help="Miscoverage rate.")] = "0.1",
-    y_min: Annotated[float | None, typer.Option("--min", help="Value that no target falls below, such as 0.")] = None,
-    y_max: Annotated[float | None, typer.Option("--max", help="Value that no target exceeds.")] = None,
+    y_min: Annotated[float, typer.Option("--min", help="Value that no target falls below, such as 0.")] = -np.inf,
+    y_max: Annotated[float, typer.Option("--max", help="Value that no target exceeds.")] = np.inf,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the split and of the learner.")] = 0,
     plot: Annotated[
         Path | None, typer.Option(help="Picture of sets and coverage, .svg, .png or .pdf; needs the extra 'figures'.")
@@ -121,8 +121,9 @@ def fit(
     test, train = _split_rows(X, units, split, np.random.default_rng(seed))
     joint: Any = "max" if len(target) > 1 else "none"
     held_out: Any = "random" if split is Split.RANDOM else "last"
-    bounds: dict[str, Any] = {"y_min": -np.inf if y_min is None else y_min, "y_max": np.inf if y_max is None else y_max}
-    reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, calibration=held_out, **bounds)
+    reg = ConformalRegressor(
+        alpha=alpha, joint=joint, random_state=seed, calibration=held_out, y_min=y_min, y_max=y_max
+    )
     train_groups, test_groups = (X[by].iloc[rows] if by else None for rows in (train, test))
     with warning_lines(UserWarning, lambda text: report_line(f"note: {text}")):
         reg.fit(X.iloc[train], y.iloc[train], groups=train_groups, units=None if units is None else units.iloc[train])
@@ -270,12 +271,12 @@ def total_rows(frame: pd.DataFrame) -> pd.Series:
     return totals
 
 
-def doubt_targets(X: pd.DataFrame, y: pd.DataFrame, y_min: float | None) -> list[str]:
+def doubt_targets(X: pd.DataFrame, y: pd.DataFrame, y_min: float) -> list[str]:
     """Notes on targets that are never negative, whole, or a linear function of other columns."""
     notes = []
     numbers = X.select_dtypes("float").dropna(axis=1).iloc[:, :_MOST_SOLVED].head(_ROWS_SOLVED)
     for name, values in y.items():
-        if y_min is None and values.min() >= 0:
+        if y_min < 0 <= values.min():
             notes.append(f"note: {name} is never negative; if it cannot be, give --min 0")
         if (values % 1 == 0).all():
             notes.append(f"note: {name} holds whole numbers only; an interval stands for those in it")

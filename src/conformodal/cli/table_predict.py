@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -18,14 +17,14 @@ from conformodal.conformal.tables import input_columns
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
-from conformodal.core.words import counted, listed
+from conformodal.core.words import counted, finite_or_none, listed
 
 from .console import progress_bars, report_line, warning_lines
 from .table_csv import CsvFormat, TableError, read_table
 
 _ROWS = 65_536  # at once, and of a row group that is written
 _PARQUET, _CSV = ".parquet", ".csv"
-_NAMED = 5  # columns in a note
+_LONGEST = 200  # characters of a note
 
 
 def predict(
@@ -50,8 +49,7 @@ def predict(
     if copied:
         report_line(f"copied: {listed(copied)}")
     if others:
-        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
-        report_line(f"note: not read: {', '.join(others[:_NAMED])}{more}, which the model does not know")
+        report_line(f"note: not read: {listed(others)}, which the model does not know"[:_LONGEST])
     told, done, n_unbounded = list[str](), 0, 0
     with progress_bars() as progress, warning_lines(UserWarning, told.append), _writer(out) as write:
         for table in chunks([*copied, *needed]):
@@ -120,7 +118,7 @@ def _writer(out: Path) -> Iterator[Any]:
         """Lists as JSON, in which infinite ends are null."""
         for j, field in enumerate(table.schema):
             if pa.types.is_list(field.type):
-                texts = [json.dumps([_finite(one) for one in row]) for row in table[j].to_pylist()]
+                texts = [_as_json(row) for row in table[j].to_pylist()]
                 table = table.set_column(j, field.name, [texts])
         return table
 
@@ -141,5 +139,5 @@ def _writer(out: Path) -> Iterator[Any]:
                 writer.close()
 
 
-def _finite(interval: dict[str, float]) -> dict[str, float | None]:
-    return {name: value if math.isfinite(value) else None for name, value in interval.items()}
+def _as_json(intervals: list[dict[str, float]]) -> str:
+    return json.dumps([{name: finite_or_none(value) for name, value in one.items()} for one in intervals])

@@ -208,8 +208,9 @@ def _doubt_order(X: Any, columns: list[Any], matrix: FloatArray, z: FloatArray) 
         return []
     told = f"rows near each other in {'time' if dates else 'order'} are alike (correlation {alike:.2f})"
     if alike < _ALIKE:
-        told = f"the target depends on {'the date' if dates else 'the order of the rows'}: sets for 90 % may hold "
-        told += f"{held:.0%} of later rows"
+        told = (
+            f"the target depends on the {'date' if dates else 'order'}: sets for 90 % may hold {held:.0%} of later rows"
+        )
     mend = "split in time (calibration='last', --split time)"
     return [f"{told}: coverage is that of rows in between, not of later rows; {mend}"]
 

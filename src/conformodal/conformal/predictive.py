@@ -79,15 +79,10 @@ class PredictiveDensity:
         random, shape = check_random_state(random_state), (len(self), self.bins.n_targets)
         return np.stack([self._at(random.random_sample(shape)) for _ in range(size)])
 
-    def probabilities(self, regions: Regions, i: int) -> list[FloatArray]:
-        """Probability of every interval of ``regions.intervals(i)``: d arrays (m,)."""
-        if len(regions) != len(self) or regions.bins.n_targets != self.bins.n_targets:
-            raise ConformodalError(f"regions must be of the same {len(self)} samples and targets, got {regions!r}")
-        parts = zip(regions.intervals(i), self.bins.edges_, self._below, strict=True)
-        return [np.diff(np.interp(ends, edges, below[i]), axis=1)[:, 0] for ends, edges, below in parts]
-
     def flat_probabilities(self, regions: Regions, target: int = 0) -> FloatArray:
         """Probability (m,) of each of the ``regions.flat_intervals(target)``."""
+        if len(regions) != len(self) or regions.bins.sizes != self.bins.sizes:
+            raise ConformodalError(f"regions must be of the same {len(self)} samples and bins, got {regions!r}")
         offsets, runs = regions.flat_runs(target)
         rows, below = np.repeat(np.arange(len(self)), np.diff(offsets)), self._below[target]
         return np.asarray(below[rows, runs[:, 1]] - below[rows, runs[:, 0]])

@@ -41,7 +41,7 @@ from .checks import (
     factorise,
     not_calibrated,
 )
-from .density.encoder import is_frame, named_targets, rows_of
+from .density.encoder import is_frame, named_targets, numpy_columns, rows_of
 from .density.learners import as_learner, fit_target, predict_proba, split_off, split_units
 from .density.mixture import as_sample_weight
 from .diagnosis import Diagnosis, diagnose
@@ -110,8 +110,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     bins_ : QuantileBins
     estimators_ : list of d fitted estimators; of a classifier, its five fits in ``classifiers`` and their smoothing
     calibrator_ : SplitConformal, or MondrianConformal with groups
-    columns_ : names of the columns of `X`, none of an array
-    group_column_ : name of the series that `groups` were, which :meth:`predict_table` reads
+    columns_, group_column_ : names of the columns of `X` and of `groups`, which :meth:`predict_table` reads
 
     Examples
     --------
@@ -260,8 +259,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """Probabilities, and whether each row is of a kind that never occurred; warns of rows unlike the training's."""
         check_is_fitted(self, "bins_")
         features = self._inputs(X)
-        unlike = self.compare_rows(features)
-        return self.proba_of(features), unlike
+        return self.proba_of(features), self.compare_rows(features)
 
     def compare_rows(self, features: Any) -> BoolArray:
         """Whether the set of each row is unbounded as nothing is known about its kind; warns of unlike rows."""
@@ -374,8 +372,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """Features, checked by scikit-learn; a frame stays as it is."""
         if np.ma.is_masked(X):
             raise ConformodalError("X must not hold masked entries; NaN stands for a missing number")
-        if hasattr(X, "column_names"):  # of Arrow
-            X = X.to_pandas()
+        X = numpy_columns(X)
         options: Any = {"accept_sparse": "csr", "ensure_all_finite": "allow-nan", "dtype": "numeric"}
         try:
             features = validate_data(self, X, reset=reset, **({"skip_check_array": True} if is_frame(X) else options))

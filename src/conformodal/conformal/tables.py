@@ -9,17 +9,14 @@ import numpy as np
 from conformodal.core.arrays import BoolArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
-from conformodal.core.words import listed
 
 from .checks import Alpha, BinProbabilities, blocks, brief
-from .density.encoder import is_time
+from .density.encoder import is_time, numpy_columns
 from .predictive import PredictiveDensity
 from .regions import Regions
 
 if TYPE_CHECKING:
     from .regressor import ConformalRegressor
-
-_MOST_NAMED = 10  # columns in a message
 
 
 def input_columns(reg: ConformalRegressor, names: list[str]) -> list[str]:
@@ -28,9 +25,7 @@ def input_columns(reg: ConformalRegressor, names: list[str]) -> list[str]:
         raise ConformodalError("tables are read by the names of their columns: fit on a frame, not on an array")
     needed = [*reg.columns_, *([] if reg.group_column_ in (None, *reg.columns_) else [str(reg.group_column_)])]
     if missing := [name for name in needed if name not in names]:
-        more = f" and {len(missing) - _MOST_NAMED} more" if len(missing) > _MOST_NAMED else ""
-        has = f"it has {brief(names, 200)}"
-        raise ConformodalError(f"the table lacks {listed([*map(repr, missing[:_MOST_NAMED])])}{more}; {has}")
+        raise ConformodalError(f"the table lacks the columns {brief(missing, 200)}; it has {brief(names, 200)}")
     return needed
 
 
@@ -41,7 +36,8 @@ def as_inputs(reg: ConformalRegressor, table: Any) -> Any:
     """
     names = list(map(str, getattr(table, "column_names", getattr(table, "columns", ()))))
     needed = input_columns(reg, names)
-    frame = table[needed] if hasattr(table, "iloc") else table.select(needed).to_pandas()
+    frame = numpy_columns(table[needed] if hasattr(table, "iloc") else table.select(needed))
+    frame = frame if hasattr(frame, "iloc") else frame.to_pandas()
     for name, memory in zip(reg.columns_, reg.memory_.columns, strict=False):
         column = frame[name]
         if not memory.dated or column.dtype.kind == "M" or is_time(column):
@@ -72,11 +68,7 @@ def region_table(reg: ConformalRegressor, table: Any, alpha: Alpha | None) -> An
     result = pa.concat_tables(parts)
     if hasattr(table, "iloc"):
         return result.to_pandas().set_index(table.index)
-    if hasattr(table, "column_names"):
-        return result
-    import polars as pl  # noqa: PLC0415 - whose table it is
-
-    return pl.from_arrow(result)
+    return result if hasattr(table, "column_names") else type(table)(result)  # of Arrow, of polars
 
 
 def _arrow_table(reg: ConformalRegressor, proba: BinProbabilities, regions: Regions) -> Any:

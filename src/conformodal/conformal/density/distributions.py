@@ -16,24 +16,15 @@ from conformodal.core.arrays import FloatArray
 Reader: TypeAlias = Callable[[Any, Any, QuantileBins], FloatArray]
 _LEVELS = np.linspace(0.005, 0.995, 100)
 
-
-def _of_distribution(model: Any, X: Any, bins: QuantileBins) -> FloatArray:
-    return bins.proba_from_cdf(model.pred_dist(X).cdf)
-
-
-def _of_quantiles(model: Any, X: Any, bins: QuantileBins) -> FloatArray:
-    return bins.proba_from_quantiles(_LEVELS, np.asarray(model.predict_quantiles(X, _LEVELS.tolist())))
-
-
-def _of_predict(model: Any, X: Any, bins: QuantileBins) -> FloatArray:
-    return bins.proba_from_quantiles(_LEVELS, np.asarray(model.predict(X, quantiles=_LEVELS.tolist())))
-
-
 # Readers by the method that they call, and its argument, in the order in which they are tried. More can be added.
 READERS: dict[tuple[str, str], Reader] = {
-    ("pred_dist", "X"): _of_distribution,  # NGBoost
-    ("predict_quantiles", "X"): _of_quantiles,
-    ("predict", "quantiles"): _of_predict,  # quantile-forest
+    ("pred_dist", "X"): lambda model, X, bins: bins.proba_from_cdf(model.pred_dist(X).cdf),  # NGBoost
+    ("predict_quantiles", "X"): lambda model, X, bins: bins.proba_from_quantiles(
+        _LEVELS, model.predict_quantiles(X, _LEVELS.tolist())
+    ),
+    ("predict", "quantiles"): lambda model, X, bins: bins.proba_from_quantiles(  # quantile-forest
+        _LEVELS, model.predict(X, quantiles=_LEVELS.tolist())
+    ),
 }
 
 

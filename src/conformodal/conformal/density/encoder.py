@@ -26,6 +26,15 @@ def is_frame(X: Any) -> bool:
     return hasattr(X, "columns") and hasattr(X, "shape")
 
 
+def numpy_columns(X: Any) -> Any:
+    """A table of Arrow as a frame of pandas, and a frame whose columns are Arrow's with NumPy's; others as they are."""
+    if any(str(dtype).endswith("[pyarrow]") for dtype in getattr(X, "dtypes", ())):
+        import pyarrow as pa  # noqa: PLC0415 - whose columns they are
+
+        return pa.Table.from_pandas(X, preserve_index=False).to_pandas(ignore_metadata=True).set_axis(X.index)
+    return X.to_pandas(ignore_metadata=True) if hasattr(X, "column_names") else X
+
+
 def column_of(X: Any, j: int) -> Any:
     """A column of a table, by its position."""
     return X.iloc[:, j] if hasattr(X, "iloc") else X[:, j]
@@ -88,14 +97,13 @@ def date_parts(days: FloatArray) -> dict[str, FloatArray]:
     """Year, month, day of the year, weekday and hour of times in days since 1970, of which none is missing."""
     times = np.rint(days * 86_400_000).astype("M8[ms]")
     day, month, year = (times.astype(f"M8[{unit}]") for unit in "DMY")
-    parts = {
-        "year": year.astype(np.int64) + 1970,
-        "month": month.astype(np.int64) % 12 + 1,
+    return {
+        "year": 1970.0 + year.astype(np.int64),
+        "month": 1.0 + month.astype(np.int64) % 12,
         "day of the year": (day - year.astype("M8[D]")) / _DAY + 1,
-        "weekday": (day.astype(np.int64) + _MONDAY) % 7,
+        "weekday": (day.astype(np.int64) + _MONDAY) % 7 * 1.0,
         "hour": (days - np.floor(days)) * _HOURS,
     }
-    return {name: np.asarray(values, np.float64) for name, values in parts.items()}
 
 
 def varying_parts(values: FloatArray) -> list[str]:
@@ -124,8 +132,8 @@ def _finite_columns(X: Any) -> dict[int, FloatArray]:
     """Columns of floats in a frame of pandas, by position: at once, as there may be thousands; none if any is inf."""
     if not hasattr(X, "select_dtypes"):
         return {}
-    numbers = X.select_dtypes("float64").to_numpy()
     places = np.flatnonzero(np.asarray(X.dtypes == "float64"))
+    numbers = X.iloc[:, places].to_numpy()
     return {} if np.isinf(numbers).any() else dict(zip(places.tolist(), numbers.T, strict=True))
 
 
