@@ -17,11 +17,11 @@ from matplotlib.patches import Rectangle
 
 from conformodal.core.arrays import FloatArray
 from conformodal.core.files import replacing, write_whole
-from conformodal.core.words import counted
+from conformodal.core.words import as_utf8, counted
 from conformodal.geometry import Trajectory
 from conformodal.io.pose_files import read_tum
 from conformodal.pipeline.results import ResultsError, read_region_records, read_trajectories
-from conformodal.report.figures import as_label, as_svg
+from conformodal.report.figures import as_svg
 
 # those of Okabe and Ito, which colour-blind people can tell apart; truth is black and dashed as well
 COLOURS = {"region": "#56B4E9", "smoothed": "#0072B2", "classical": "#D55E00", "truth": "#000000", "wall": "#888888"}
@@ -31,6 +31,11 @@ _OUTSIDE = "#BBBBBB"  # bins that are not in the set
 _LEAST_SHOWN, _BELOW_THRESHOLD = 1e-4, 30.0  # where bars begin
 _STRIP = 0.025  # height of the intervals along the bottom, as a share of the panel's
 _LEAST_BOX = 1.5  # points: the line around a cuboid, so that a narrow one is seen
+
+
+def as_label(text: str) -> str:
+    """A name as matplotlib shows it: no mathematics, and undecodable bytes with backslashes."""
+    return as_utf8(text).replace("$", r"\$")
 
 
 @dataclass(frozen=True, eq=False)

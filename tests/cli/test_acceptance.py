@@ -29,7 +29,7 @@ def test_demo(tmp_path):
     assert metrics["ambiguity"]["share_held"] >= 0.9
     assert 1 < metrics["coverage"]["mean_places"] < 6
     assert metrics["path_coverage"] is None  # random frames calibrate
-    assert "the same view: the region holds" in (tmp_path / "report.html").read_text()
+    assert "of the same view; the regions hold" in (tmp_path / "report.html").read_text()
 
 
 def test_redkitchen_interleaved(redkitchen, tmp_path):

@@ -19,7 +19,6 @@ COMMANDS = {
 # command, options, and what the message names
 REFUSED = [
     *(("train", f"--{name}={value}", name) for name in ("bins", "epochs") for value in (0, 10**7, "x")),
-    *(("train", f"--dropout={value}", "dropout") for value in (-0.5, "nan")),
     *(("train", f"--test={value}", "test") for value in (0, 1, "nan")),
     *(("train", f"--alpha={value}", "alpha") for value in (0, 1, 90, "nan")),
     *((command, f"--seed={value}", "seed") for command in ("train", "demo") for value in (-1, 0.5)),

@@ -246,13 +246,9 @@ def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:
         f"{metrics['n_without_image']}; with a pose from landmarks: {metrics['n_localized']}.",
     ]
     if n_unknown:
-        verb = noun_for(n_unknown, "shows", "show")
-        lines.append(f"{n_unknown} of {n} {verb} no known place: the region is unbounded there.")
+        lines.append(f"{n_unknown} of {n} {noun_for(n_unknown, 'shows', 'show')} no known place: unbounded there.")
     if n_unbounded := metrics["n_unbounded"]:
-        lines.append(
-            f"The region is unbounded in some target in {n_unbounded} of {n}, which show a known place: too few "
-            "calibration frames have the same evidence type for this alpha, or too many lie beyond the training range."
-        )
+        lines.append(f"The regions of {n_unbounded} others are unbounded: too few frames like these calibrate.")
     if metrics["stopped"]:
         lines.append(f"Stopped early: {metrics['stopped']}. All results up to then are here.")
     return lines

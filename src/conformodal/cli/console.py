@@ -34,13 +34,10 @@ _USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__mro__[2])
 _LOG, _REPORT_EVERY_S = "conformodal.log", 10.0
 _STOPPING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
-_OUTPUT = "Output"
-Quiet = Annotated[bool, typer.Option("--quiet", help="Print warnings alone.", rich_help_panel=_OUTPUT)]
-Verbose = Annotated[bool, typer.Option("--verbose", help="Print all findings.", rich_help_panel=_OUTPUT)]
-AsJson = Annotated[
-    bool,
-    typer.Option("--json", help="Print the metrics as JSON; lines go to stderr.", rich_help_panel=_OUTPUT),
-]
+OUTPUT_PANEL = "Output"
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print warnings alone.", rich_help_panel=OUTPUT_PANEL)]
+Verbose = Annotated[bool, typer.Option("--verbose", help="Print all findings.", rich_help_panel=OUTPUT_PANEL)]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON; lines go to stderr.", rich_help_panel=OUTPUT_PANEL)]
 
 
 class OptionError(ConformodalError):

@@ -12,15 +12,12 @@ import typer
 from conformodal.core.files import default_cache_dir
 from conformodal.core.words import counted
 from conformodal.features.extract import FeatureCache
-from conformodal.geometry import PinholeCamera
 from conformodal.geometry.metrics import MAX_GAP_S
 from conformodal.io import DatasetError, Layout, Recording, check_recording
-from conformodal.io.cameras import camera_beside
 from conformodal.io.check import DatasetCheck
 from conformodal.io.convert import convert_stream
-from conformodal.io.reading import Note
 from conformodal.io.recording import as_camera, join_recordings
-from conformodal.io.streams.frames import FrameStream, RecordingStream
+from conformodal.io.streams.frames import RecordingStream
 from conformodal.localizer.overlap import Overlap, measure_overlap
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import lock_output, write_metrics
@@ -32,11 +29,13 @@ from .console import AsJson, Group, OptionError, Quiet, print_json, print_where,
 from .sources import (
     AllData,
     Cache,
+    Camera,
     DataLayout,
     Focal,
     MaxGap,
     TimeOffset,
     cache_folder,
+    lens_of,
     open_sequence,
     open_source,
     read_poses,
@@ -57,9 +56,7 @@ def check(
     folders: AllData,
     layout: DataLayout = Layout.AUTO,
     out: Annotated[Path | None, typer.Option(help="Folder for metrics.json, and a page if there are poses.")] = None,
-    model: Annotated[
-        Path | None, typer.Option(help="Saved model: also report sparsely covered and ambiguous places.")
-    ] = None,
+    model: Annotated[Path | None, typer.Option(help="Saved model: report what it does not know, too.")] = None,
     cache: Cache = None,
     focal: Focal = None,
     quiet: Quiet = False,
@@ -112,13 +109,8 @@ def convert(
     source: Annotated[str, typer.Argument(help="A data set's folder, a video, or a ROS recording.")],
     out: Annotated[Path, typer.Option(help="Folder to write, new or empty.")],
     layout: DataLayout = Layout.AUTO,
-    poses: Annotated[
-        str | None,
-        typer.Option(help="TUM file of camera poses, or a topic of poses in a ROS recording, interpolated by time."),
-    ] = None,
-    camera: Annotated[
-        Path | None, typer.Option(help="Folder with camera-intrinsics.txt, for sources without calibration.")
-    ] = None,
+    poses: Annotated[str | None, typer.Option(help="TUM file, or a topic of a ROS recording; interpolated.")] = None,
+    camera: Camera = None,
     max_gap: MaxGap = MAX_GAP_S,
     time_offset: TimeOffset = 0.0,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
@@ -131,27 +123,13 @@ def convert(
     truth = given if poses is None else read_poses(poses, time_offset, stream, max_gap)
     if stream.camera is not None and camera is not None:
         raise OptionError(f"--camera is for sources without calibration, and {stream.name} has {stream.camera}")
-    lens = stream.camera or _camera(camera, stream)
+    lens = stream.camera or lens_of(stream, camera)
     gap_s, total = 0.0 if poses is None else max_gap, stream.n_frames or 0
     with progress_bars() as report:
         done = convert_stream(out, stream, lens, truth, lambda n: report("frames", n, max(total, n)), gap_s)
     report_line(f"{counted(done.n_frames, 'frame')} written, {done.n_posed} of them with poses")
     report_notes(done.notes)
     print_where(out)
-
-
-def _camera(folder: Path | None, stream: FrameStream) -> PinholeCamera:
-    if folder is None:
-        raise DatasetError("the source has no calibration; name a folder with camera-intrinsics.txt by --camera")
-    first = next((frame.image for frame in stream if frame.image is not None), None)
-    if first is None:
-        raise DatasetError(f"{stream.name}: no image can be read, so the size of the images is not known")
-    notes: list[Note] = []
-    camera = camera_beside(folder, (first.shape[1], first.shape[0]), None, notes)
-    if camera is None:
-        raise DatasetError(f"{folder}: holds no camera-intrinsics.txt; write the 3x3 matrix of the camera into it")
-    report_notes(notes)
-    return camera
 
 
 def _report_check(checked: DatasetCheck) -> list[str]:

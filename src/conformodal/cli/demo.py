@@ -10,7 +10,6 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from conformodal.core.files import write_whole
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.words import counted
 from conformodal.corridor import write_corridor
@@ -40,7 +39,7 @@ from .answering import (
     report_outcome,
     write_answers,
 )
-from .console import OptionError, print_where, progress_bars, report_line
+from .console import print_where, progress_bars, report_line
 from .train import train_on
 
 N_MODULES, N_LAPS = 5, 2
@@ -58,7 +57,7 @@ def demo(
     started, features, training = time.perf_counter(), FeatureCache(out / "cache"), replace(TRAINING, seed=seed)
     config = ModelConfig(split=SplitKind.INTERLEAVED, alpha=ALPHA, seed=seed, training=training)
     with lock_output(out, "demo"), progress_bars(out) as report:
-        sequence = _corridor(out / "corridor", seed, report)
+        sequence = _corridor(out / "corridor" / f"seed-{seed}", seed, report)
         model = train_on(sequence, config, out / "model", features=features, report=report)
         answered: dict[int, PoseRegions] = {}
 
@@ -105,10 +104,6 @@ def demo(
 
 def _corridor(folder: Path, seed: int, report: StageProgress) -> Recording:
     """The flight of a seed; one that is there is not written again."""
-    mark = folder / "seed.txt"
     if not (folder / "seq-01").is_dir():
-        write_whole(mark, f"{seed}\n")
         write_corridor(folder, n_modules=N_MODULES, n_laps=N_LAPS, seed=seed, progress=stage_of(report, "corridor"))
-    elif not mark.is_file() or mark.read_text(encoding="utf-8").strip() != str(seed):
-        raise OptionError(f"{folder}: holds a flight that is not of seed {seed}; take another --out")
     return read_recording(folder)

@@ -43,9 +43,7 @@ def evaluate(
     out: Annotated[Path, typer.Argument(help="Folder of results that run wrote.")],
     truth: Annotated[Path, typer.Option(help="True poses: a TUM trajectory, or a data set with poses.")],
     layout: Annotated[Layout, typer.Option("--format", help="Layout, if it is a data set.")] = Layout.AUTO,
-    alignment: Annotated[
-        Alignment, typer.Option("--align", help="Alignment of each trajectory before the comparison.")
-    ] = Alignment.NONE,
+    alignment: Annotated[Alignment, typer.Option("--align", help="Of each path with the truth.")] = Alignment.NONE,
     max_gap: MaxGap = MAX_GAP_S,
     time_offset: TimeOffset = 0.0,
     quiet: Quiet = False,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,48 +21,23 @@ def info(model: SavedModel, verbose: Verbose = False, as_json: AsJson = False) -
     print_json(facts)
     for line in facts["verdict"]:
         report_line(line)
-    for line in describe_facts(facts):
-        report_line(line, detail=True)
+    for name, value in facts.items():
+        report_line(f"{name}: {'; '.join(value) if name == 'guarantees' else value}", detail=True)
 
 
 def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
-    """The facts that :func:`info` prints, for JSON."""
-    rules, split, camera = model.rules, model.split, model.camera
+    """What is printed, by name."""
+    split = model.split
     by_type = guarantees(model)
     trained = read_metrics(folder) if (folder / METRICS).exists() else {}
     return {
         "model": model_digest(folder),
-        "method": str(model.method),
-        "data": model.configuration.get("data"),
+        "configuration": model.settings,
         "frames": {part: len(split.part(part)) for part in ("train", "calibration", "test")},
-        "split": str(split.kind),
-        "seed": split.seed,
-        "camera": {"width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy},
-        "sources": [source.name for source in model.localizer.sources],
-        "alpha": model.alpha,
-        "joint": rules.overall.joint,
-        "calibrated_on": model.configuration.get("calibrate_on"),
-        "n_calibration": model.n_calibration,
-        "novelty_level": rules.level,
+        "camera": asdict(model.camera),
         "bounded_regions": {one.evidence.name.lower(): one.finite for one in by_type},
         "verdict": trained.get("verdict") or [f"coverage: {short_guarantee(model)}"],
         "guarantee": describe_guarantee(model),
         "guarantees": [one.describe() for one in by_type],
         "bytes": {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()},
-        "network": model.backbone.config.name,
     }
-
-
-def describe_facts(facts: dict[str, Any]) -> list[str]:
-    """The facts as lines."""
-    camera, parts = facts["camera"], ", ".join(f"{n} for {part}" for part, n in facts["frames"].items())
-    return [
-        f"trained on {facts['data']}: frames {parts} (split {facts['split']}, seed {facts['seed']})",
-        f"camera: {camera['width']}x{camera['height']}, fx {camera['fx']:.1f}, fy {camera['fy']:.1f}",
-        f"method {facts['method']}; sources: {', '.join(facts['sources'])}",
-        facts["guarantee"],
-        *facts["guarantees"],
-        f"images without a recognised place get an unbounded region if their p-value of showing a known one is at most "
-        f"{facts['novelty_level']:g}",
-        f"size: {sum(facts['bytes'].values()) / 1e6:.1f} MB; network {facts['network']}",
-    ]

@@ -5,16 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
+from conformodal.features.local import extract_local_features
+from conformodal.geometry import PinholeCamera
+from conformodal.geometry.lens import view_as
 from conformodal.io import Layout
 from conformodal.io.cameras import describe_change
+from conformodal.io.decoding import grey_image
 from conformodal.io.recording import as_camera
-from conformodal.io.streams.bag import BagStream
-from conformodal.io.streams.frames import FrameStream, RecordingStream, join_streams
+from conformodal.io.streams.frames import ConvertedStream, FrameStream, RecordingStream, join_streams
+from conformodal.localizer.evidence import FrameEvidence
 from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.results import lock_output
@@ -33,6 +40,7 @@ from .answering import (
 )
 from .console import (
     BROKE_OFF,
+    OUTPUT_PANEL,
     AsJson,
     OptionError,
     Quiet,
@@ -44,43 +52,33 @@ from .console import (
     stop_code,
     stopping,
 )
-from .sources import DataLayout, SavedModel, open_source
+from .sources import DATA_PANEL, Camera, DataLayout, SavedModel, lens_of, open_source
 
 RERUN_SUFFIX, ROS_SUFFIX = ".rrd", ".mcap"
-_SHOW = "Show and record"
+_data, _show = (partial(typer.Option, rich_help_panel=panel) for panel in (DATA_PANEL, "Show and record"))
+# for --focal auto: images, frames from one to the next, and focal lengths as shares of the longer side
+_FRAMES, _APART, _FOCALS = 8, 30, 0.35 * 1.12 ** np.arange(15)
 
 
 def run(
     model: SavedModel,
     sources: Annotated[
         list[str],
-        typer.Argument(
-            metavar="SOURCE...",
-            help="Frames: a data set's folder, a video, a ROS recording (.bag, .mcap), or camera:0. Several data "
-            "sets run one after the other.",
-        ),
+        typer.Argument(metavar="SOURCE...", help="Data sets, a video, a ROS recording (.bag, .mcap), or camera:0."),
     ],
-    out: Annotated[Path, typer.Option(help="Folder for the results.")],
+    out: Annotated[Path, typer.Option(help="Folder for the results.", rich_help_panel=OUTPUT_PANEL)],
     layout: DataLayout = Layout.AUTO,
-    part: Annotated[Part, typer.Option(help="Frames to answer: all, or the test part of the model's own data set.")] = (
-        Part.ALL
-    ),
+    part: Annotated[Part, _data(help="test: the test part of the model's own data set.")] = Part.ALL,
+    camera: Camera = None,
+    focal: Annotated[str | None, _data(metavar="PX|auto", help="Of a video or a device; auto: fitted.")] = None,
+    topic: Annotated[str | None, _data(help="Image topic of a ROS recording that has several.")] = None,
+    limit: Annotated[int | None, _data(min=1, help="Stop after so many frames.")] = None,
     alpha: Annotated[float | None, typer.Option(help="Another miscoverage rate than the model was saved with.")] = None,
-    topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
-    limit: Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")] = None,
-    view: Annotated[
-        bool, typer.Option("--view", help="Show it live in Rerun (extra 'view').", rich_help_panel=_SHOW)
-    ] = False,
+    view: Annotated[bool, _show("--view", help="Show it live in Rerun (extra 'view').")] = False,
     save: Annotated[
-        Path | None,
-        typer.Option(
-            help="Record: a file .rrd for Rerun (extra 'view'), or .mcap with ROS 2 messages (extra 'ros').",
-            rich_help_panel=_SHOW,
-        ),
+        Path | None, _show(help="Record: .rrd for Rerun (extra 'view'), .mcap with ROS 2 messages (extra 'ros').")
     ] = None,
-    save_images: Annotated[
-        bool, typer.Option("--save-images", help="Keep the images in the .mcap too.", rich_help_panel=_SHOW)
-    ] = False,
+    save_images: Annotated[bool, _show("--save-images", help="Keep the images in the .mcap too.")] = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
     as_json: AsJson = False,
@@ -95,8 +93,10 @@ def run(
         if alpha is not None:
             loaded.recalibrate(alpha)
         whole = part is Part.ALL
-        lens = loaded.camera if whole else None  # sources without calibration have no parts
+        lens = loaded.camera if whole and not (camera or focal) else None  # sources without calibration have no parts
         opened = [open_source(one, layout, topic=topic, as_trained=not whole, camera=lens) for one in sources]
+        if camera or focal:
+            opened = [_calibrated(loaded, source, camera, focal) for source in opened]
         stream = join_streams([_as_trained(loaded, source, convert=whole) for source in opened])
         if isinstance(stream, RecordingStream):
             stream = RecordingStream(stream.sequence, part_frames(loaded, stream.sequence, part))
@@ -129,10 +129,55 @@ def _check_recording(save: Path | None, sources: list[str], *, images: bool) -> 
         raise OptionError(f"--save-images needs --save FILE{ROS_SUFFIX}, got {save or 'no --save'}")
 
 
+def _calibrated(model: PoseModel, stream: FrameStream, camera: Path | None, focal: str | None) -> FrameStream:
+    """A source of a camera that a user names, as the model's camera would have seen it."""
+    if stream.camera is not None:
+        raise OptionError(
+            f"--camera and --focal are for sources without calibration, and {stream.name} has {stream.camera}"
+        )
+    if camera is not None and focal is not None:
+        raise OptionError("--focal cannot be used with --camera, which has a focal length")
+    pixels = None
+    if focal == "auto":
+        pixels = fitted_focal(model, stream)
+    elif focal is not None:
+        try:
+            pixels = float(focal)
+        except ValueError:
+            raise OptionError(f"--focal must be a number of pixels or auto, got {focal!r}") from None
+    lens = lens_of(stream, camera, pixels)
+    report_line(f"{stream.name}: images of {describe_change(lens, model.camera)}")
+    return ConvertedStream(stream, lens, model.camera)
+
+
+def fitted_focal(model: PoseModel, stream: FrameStream) -> float:
+    """The focal length, pixels, with which the model recognises most landmarks in eight images of a source."""
+    taken = [frame.image for frame in islice(stream, 0, _FRAMES * _APART, _APART) if frame.image is not None]
+    if not taken or model.landmarks is None:
+        raise OptionError(f"--focal auto: needs a model with landmarks, and images; give the pixels for {stream.name}")
+    height, width = taken[0].shape[:2]
+
+    def recognition(focal: float) -> float:
+        lens = PinholeCamera(focal, focal, width / 2, height / 2, width, height)
+        images = [view_as(image, lens, model.camera) for image in taken]
+        local = [extract_local_features(grey_image(one), model.camera, model.detector) for one in images]
+        network = np.concatenate([model.backbone.features_of(one) for one in images])
+        return float(model.localizer.beliefs(FrameEvidence(network, local)).recognition.sum())
+
+    best = max(_FOCALS * max(width, height), key=recognition)
+    near = best * np.array([0.95, 1, 1.05])
+    a, b, _ = np.polyfit(np.log(near), recognised := [recognition(focal) for focal in near.tolist()], 2)
+    if not a < 0 or max(recognised) == 0:
+        raise OptionError(f"--focal auto: no focal length makes {stream.name} recognised; give its pixels")
+    return float(np.clip(np.exp(-b / (2 * a)), near[0], near[2]))
+
+
 def _as_trained(model: PoseModel, stream: FrameStream, *, convert: bool) -> FrameStream:
     """Images of another camera as the model's camera would have seen them, or an error if they are not to be."""
     if stream.camera is None:
         return stream
+    if stream.camera is model.camera and not isinstance(stream, ConvertedStream):
+        report_line(f"{stream.name}: no calibration; the model's camera is assumed. --camera or --focal name another")
     try:
         model.check_camera(stream.camera)
     except OdometryError as exc:
@@ -142,8 +187,7 @@ def _as_trained(model: PoseModel, stream: FrameStream, *, convert: bool) -> Fram
         report_line(f"{exc}: its images are brought to the model's camera, those of {change}")
         if isinstance(stream, RecordingStream):
             return replace(stream, sequence=as_camera(stream.sequence, model.camera))
-        if isinstance(stream, BagStream):
-            return replace(stream, camera=model.camera)
+        return ConvertedStream(stream, stream.camera, model.camera)
     return stream
 
 

@@ -13,9 +13,10 @@ import typer
 
 from conformodal.core.files import default_cache_dir
 from conformodal.core.words import counted
-from conformodal.geometry import Trajectory
+from conformodal.geometry import PinholeCamera, Trajectory
 from conformodal.geometry.metrics import MAX_GAP_S
 from conformodal.io import DatasetError, DatasetWarning, Layout, Recording, read_recording, recognise
+from conformodal.io.cameras import camera_beside, uncalibrated_camera
 from conformodal.io.convention import doubt_poses
 from conformodal.io.folders import check_writable
 from conformodal.io.pose_files import read_tum
@@ -30,18 +31,14 @@ from .console import OptionError, report_line, warning_lines
 _MOST_NOTES = 5
 
 DATA_PANEL = "Data and split"
-AllData = Annotated[
-    list[Path], typer.Argument(metavar="DATA...", help="Data sets: images with poses, in one world frame.")
-]
+AllData = Annotated[list[Path], typer.Argument(metavar="DATA...", help="Images with poses, in one world frame.")]
 Data = Annotated[Path, typer.Argument(help="Data set: images with poses.")]
 SavedModel = Annotated[Path, typer.Argument(help="Folder of a saved model.")]
 DataLayout = Annotated[Layout, typer.Option("--format", help="Layout of the data set.", rich_help_panel=DATA_PANEL)]
 MaxGap = Annotated[float, typer.Option(min=0, help="Longest gap, seconds, between two poses to interpolate between.")]
 TimeOffset = Annotated[float, typer.Option(help="Seconds to add to the times of the poses.")]
-Focal = Annotated[
-    float | None,
-    typer.Option(help="Focal length, pixels, of images without a camera.", rich_help_panel=DATA_PANEL),
-]
+Focal = Annotated[float | None, typer.Option(help="Pixels, of images without a camera.", rich_help_panel=DATA_PANEL)]
+Camera = Annotated[Path | None, typer.Option(help="camera-intrinsics.txt (3x3), or its folder, of a video or device.")]
 Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")]
 
 
@@ -101,6 +98,27 @@ def open_sequences(
     whole = join_recordings(parts, None if test is None else [path is test for path in every])
     report_notes(whole.notes[sum(len(part.notes) for part in parts) :])
     return whole
+
+
+def lens_of(stream: FrameStream, camera: Path | None, focal: float | None = None) -> PinholeCamera:
+    """The camera of a source without calibration, from a file or a focal length in pixels."""
+    first = next((frame.image for frame in stream if frame.image is not None), None)
+    if first is None:
+        raise DatasetError(f"{stream.name}: no image can be read, so the size of the images is not known")
+    size, notes = (first.shape[1], first.shape[0]), list[Note]()
+    if camera is None:
+        lens: PinholeCamera | None = uncalibrated_camera(stream.name, size, focal, notes)
+    else:
+        lens = camera_beside(camera, size, None, notes)
+    if lens is None:
+        what = (
+            "holds no camera-intrinsics.txt with"
+            if Path(str(camera)).is_dir()
+            else "no such file or folder; name one with"
+        )
+        raise DatasetError(f"{camera}: {what} the 3x3 matrix of the camera")
+    report_notes(notes)
+    return lens
 
 
 def read_poses(

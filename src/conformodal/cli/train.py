@@ -28,7 +28,7 @@ from conformodal.pipeline.train import train_model
 from conformodal.quality.advice import advice, describe_size, numbers, quality_record, verdict
 from conformodal.quality.examining import examine
 
-from .console import OptionError, Quiet, Verbose, print_where, progress_bars, report_line
+from .console import OUTPUT_PANEL, OptionError, Quiet, Verbose, print_where, progress_bars, report_line
 from .sources import (
     DATA_PANEL,
     AllData,
@@ -49,59 +49,29 @@ _FOCAL_OFF = 0.02  # a focal length that differs by a larger share is reported
 def train(
     context: typer.Context,
     data: AllData,
-    out: Annotated[Path, typer.Option(help="Folder to save the model in.")],
-    method: Annotated[
-        Method,
-        typer.Option(help="conformodal, or paper: the paper's system, with its values of options that are left alone."),
-    ] = ModelConfig.method,
-    seed: Annotated[int, typer.Option(min=0, help="Of the split and of training.")] = 0,
+    out: Annotated[Path, typer.Option(help="Folder to save the model in.", rich_help_panel=OUTPUT_PANEL)],
     cache: Cache = None,
     layout: DataLayout = Layout.AUTO,
-    split: Annotated[
-        SplitKind,
-        _data(help="How frames are held out: at random, in stretches, in recordings, or by the data set's lists."),
-    ] = ModelConfig.split,
-    test: Annotated[
-        str,
-        _data(
-            metavar="SHARE|DATA",
-            help="Share of all frames (or recordings) held out for testing; or another data set that is held out "
-            "whole, which implies --split given.",
-        ),
-    ] = str(ModelConfig.test),
+    split: Annotated[SplitKind, _data(help="Held out: frames, stretches, recordings, lists.")] = ModelConfig.split,
+    test: Annotated[str, _data(metavar="SHARE|DATA", help="Share held out, or a data set (--split given).")] = "0.2",
+    seed: Annotated[int, _data(min=0, help="Of the split and of training.")] = 0,
     focal: Focal = None,
-    trust_poses: Annotated[
-        bool, _data("--trust-poses", help="Train although the poses do not fit the images (see data check).")
-    ] = False,
-    sources: Annotated[str, _model(help="Pose sources of the belief, in order, separated by commas.")] = (
-        ",".join(ModelConfig.sources)
-    ),
-    features: Annotated[
-        str,
-        _model(help=f"Local features: {', '.join(DETECTORS)}."),
-    ] = ModelConfig.features,
+    trust_poses: Annotated[bool, _data("--trust-poses", help="Train although poses do not fit images.")] = False,
+    method: Annotated[Method, _model(help="paper: the paper's system and values.")] = ModelConfig.method,
+    sources: Annotated[str, _model(help="Pose sources, separated by commas.")] = ",".join(ModelConfig.sources),
+    features: Annotated[str, _model(help=f"Local features: {', '.join(DETECTORS)}.")] = ModelConfig.features,
     network: Annotated[str, _model(help=f"Network of the features: {', '.join(NETWORKS)}.")] = ModelConfig.network,
     n_bins: Annotated[int, _model("--bins", min=1, help="Bins per target (K).")] = ModelConfig.n_bins,
     epochs: Annotated[int, _model(min=1, help="Passes over the training part.")] = TrainingConfig.epochs,
-    dropout: Annotated[float, _model(min=0, max=0.95, help="Share of features dropped in training.")] = (
-        TrainingConfig.dropout
-    ),
-    alpha: Annotated[float, _calibration(help="Miscoverage rate: the region may miss this share of poses.")] = (
-        ModelConfig.alpha
-    ),
-    joint: Annotated[
-        str, _calibration(help="What alpha is for. max: the whole pose; none: each target alone, as in the paper.")
-    ] = ModelConfig.joint,
-    score: Annotated[
-        str, _calibration(help="Nonconformity score: hpd, hpd_random, aps, density, lac (the paper's).")
-    ] = ModelConfig.score,
+    alpha: Annotated[float, _calibration(help="Share of poses that regions may miss.")] = ModelConfig.alpha,
+    joint: Annotated[str, _calibration(help="alpha is of max: whole poses; none: each number.")] = ModelConfig.joint,
+    score: Annotated[str, _calibration(help="hpd, hpd_random, aps, density, lac (the paper's).")] = ModelConfig.score,
     calibrate_on: Annotated[
         Calibration,
         _calibration(
             "--calibration",
-            help="What the regions are calibrated on. frames: the calibration part. stretches: stretches (or "
-            "recordings) of training and calibration part, each answered by sources that did not see it. auto: frames "
-            "for --split interleaved, else stretches.",
+            help="frames: the calibration part; stretches (or recordings): each answered by sources that did not see "
+            "it; auto: frames for --split interleaved, else stretches.",
         ),
     ] = ModelConfig.calibrate_on,
     quiet: Quiet = False,
@@ -119,7 +89,7 @@ def train(
     names = {field.name for field in fields(ModelConfig)}
     settings: dict[str, Any] = {name: value for name, value in context.params.items() if name in names - {"method"}}
     settings |= {"split": split, "test": share, "sources": tuple(name.strip() for name in sources.split(","))}
-    settings["training"] = replace(TrainingConfig(), epochs=epochs, dropout=dropout, seed=seed)
+    settings["training"] = replace(TrainingConfig(), epochs=epochs, seed=seed)
     if method is Method.PAPER:  # options that were left alone are the paper's then
         given, default = {name for name in settings if was_given(context, name)}, ModelConfig()
         given |= {name for name, value in settings.items() if value != getattr(default, name)}
@@ -219,7 +189,4 @@ def _describe_model(model: PoseModel) -> list[str]:
             lines[-1] += "check the camera"
     elif "landmarks" in model.settings["sources"]:
         lines.append("no landmarks: too few corners of the training frames could be triangulated; other sources answer")
-    if model.novelty is None:
-        why = "the paper has no such test" if model.method is Method.PAPER else "the data are one piece"
-        lines.append(f"images are not tested for unknown places: {why}")
     return lines

@@ -70,9 +70,10 @@ def camera_of(
 def camera_beside(folder: Path, size: Size, default: PinholeCamera | None, notes: list[Note]) -> PinholeCamera | None:
     """The camera of ``camera-intrinsics.txt`` (3x3) and ``camera-distortion.txt`` in a folder, else the default.
 
-    The default must be of the images' size, and is noted. None where there is neither.
+    The default must be of the images' size, and is noted. None where there is neither. `folder` may be the former file.
     """
-    path, lens_path = folder / INTRINSICS, folder / DISTORTION
+    path = folder if folder.is_file() else folder / INTRINSICS
+    lens_path = path.with_name(DISTORTION)
     if not path.is_file():
         if default is None or (default.width, default.height) != size:
             return None

@@ -14,7 +14,6 @@ import numpy as np
 from conformodal.core.arrays import rows_by_label
 from conformodal.core.extras import require_extra
 from conformodal.core.files import write_whole
-from conformodal.core.words import as_utf8
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.view_coverage import QUALITY
 
@@ -94,11 +93,6 @@ def write_quality_page(
         record=record,
         sparse_share=round(100 * QUALITY.sparse),
     )
-
-
-def as_label(text: str) -> str:
-    """A name as matplotlib shows it: no mathematics, and undecodable bytes with backslashes."""
-    return as_utf8(text).replace("$", r"\$")
 
 
 def as_svg(figure: Figure) -> str:

@@ -10,7 +10,6 @@ from typing import Any
 
 from conformodal.core.extras import require_extra
 from conformodal.geometry import PinholeCamera
-from conformodal.geometry.lens import view_as
 from conformodal.io.errors import DatasetError
 from conformodal.io.reading import Note
 
@@ -32,12 +31,11 @@ class BagStream:
 
     path: Path
     topic: str
-    camera: PinholeCamera | None  # that images are brought to, where the recording has any; else theirs, if known
+    camera: PinholeCamera | None
     n_frames: int
     notes: tuple[Note, ...]
     received: bool  # whether times are those of reception, as the headers have no stamps
     info_topic: str | None = None  # of the ``CameraInfo``
-    lens: PinholeCamera | None = None  # what it says
     live = False
 
     @property
@@ -70,8 +68,6 @@ class BagStream:
         image, problem = None, ""
         try:
             image = image_of(message, kind)
-            if self.camera is not None and self.lens is not None:
-                image = view_as(image, self.lens, self.camera)
         except DatasetError as exc:
             problem = f"{self.path}, message {number} of {self.topic}: {exc}"
         time_s = received_s if self.received else stamp_s(message)
@@ -104,13 +100,12 @@ def open_bag(path: Path, topic: str | None = None, camera: PinholeCamera | None 
         if received := stamp_s(message) == 0:
             notes.append(Note("no header stamps", f"{path}: {topic}: times are those of reception"))
         info_topic, info = _camera_info(reader, path, topic, notes)
-        lens = None
         if info is None:
             check_size(f"{path}: {topic}", (width, height), camera)
         else:
-            camera = lens = camera_of_info(info, f"{path}: {info_topic}", topic, (width, height), notes)
+            camera = camera_of_info(info, f"{path}: {info_topic}", topic, (width, height), notes)
     n_frames = sum(c.msgcount for c in connections)
-    return BagStream(path, topic, camera, n_frames, tuple(notes), received, info_topic, lens)
+    return BagStream(path, topic, camera, n_frames, tuple(notes), received, info_topic)
 
 
 def _camera_info(reader: Any, path: Path, topic: str, notes: list[Note]) -> tuple[str | None, Any]:

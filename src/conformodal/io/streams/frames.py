@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from queue import Empty, Full, Queue
 from threading import Event, Thread
 from typing import Protocol
 
 from conformodal.core.arrays import IntArray, UInt8Array
 from conformodal.geometry import PinholeCamera
+from conformodal.geometry.lens import view_as
 from conformodal.io.errors import DatasetError, ImageError
 from conformodal.io.reading import Note
 from conformodal.io.recording import Recording, join_recordings
@@ -26,7 +27,7 @@ class SourceError(DatasetError):
 def check_size(place: str, size: tuple[int, int] | None, camera: PinholeCamera | None) -> None:
     """Refuse images of another size than the camera's that a source without calibration is assumed to have."""
     if size and camera is not None and size != (camera.width, camera.height):
-        expected = f"expected the model's {camera.width}x{camera.height}; give a camera by data convert --camera"
+        expected = f"expected the model's {camera.width}x{camera.height}; give --camera or --focal"
         raise SourceError(f"{place}: has images of {size[0]}x{size[1]} pixels and no calibration, {expected}")
 
 
@@ -76,6 +77,20 @@ class FrameStream(Protocol):
 
     def __iter__(self) -> Iterator[Frame]:
         """Decode frame after frame."""
+
+
+class ConvertedStream:
+    """A source whose images come as another camera would have seen them."""
+
+    def __init__(self, source: FrameStream, lens: PinholeCamera, camera: PinholeCamera) -> None:
+        self.source, self.lens, self.camera = source, lens, camera
+        self.name, self.notes, self.n_frames, self.live = source.name, source.notes, source.n_frames, source.live
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Decode and convert frame after frame."""
+        for frame in self.source:
+            image = None if frame.image is None else view_as(frame.image, self.lens, self.camera)
+            yield replace(frame, image=image)
 
 
 @dataclass(frozen=True, eq=False)
