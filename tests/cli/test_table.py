@@ -207,7 +207,7 @@ def test_a_row_of_totals_and_an_index_are_left_out_and_told(at, label):
 @pytest.mark.parametrize(
     ("targets", "group", "excluded", "named"),
     [
-        (["doze"], None, [], "'doze'"),
+        (["doze"], None, [], "'doze' .did you mean 'dose'"),
         (["ward"], None, [], "'ward'"),
         (["dose", "dose"], None, [], "dose"),
         (["dose"], "dose", [], "dose"),
@@ -331,7 +331,7 @@ def test_new_rows_that_lack_a_column_or_hold_another_kind_are_refused(tmp_path, 
     shorten_fits(monkeypatch)
     table = rentals()
     table.to_csv(tmp_path / "old.csv", index=False)
-    run_ok("table", tmp_path / "old.csv", "--target", "count", "--exclude", "casual", "--model", tmp_path / "reg.cm")
+    run_ok("table", tmp_path / "old.csv", "--target", "count", "--exclude", "casual,id", "--model", tmp_path / "reg.cm")
     cases = {
         "lacks the columns ['when']": table.drop(columns="when"),
         "registered held numbers": table.assign(registered="many"),

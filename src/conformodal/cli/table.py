@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 import warnings
 from collections.abc import Sequence
+from dataclasses import asdict
+from difflib import get_close_matches
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
@@ -13,7 +16,6 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 import typer
-from typer.core import TyperGroup
 
 from conformodal.conformal import ConformalRegressor, DataWarning, Diagnosis, PredictiveDensity, Regions
 from conformodal.conformal.checks import doubt_alpha
@@ -23,7 +25,7 @@ from conformodal.core.arrays import AnyArray, evenly_spread
 from conformodal.core.extras import require_extra
 from conformodal.core.words import counted, listed, readable
 
-from .console import report_line, warning_lines
+from .console import AsJson, Group, Quiet, print_json, report_line, warning_lines
 from .table_csv import CsvFormat, TableError, read_table
 from .table_predict import predict
 
@@ -40,7 +42,7 @@ _TOTAL = (
 _READING = "How the file is written"
 
 
-class _FitByDefault(TyperGroup):
+class _FitByDefault(Group):
     """``table FILE`` is ``table fit FILE``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -50,12 +52,8 @@ class _FitByDefault(TyperGroup):
         return super().parse_args(ctx, args)
 
 
-app = typer.Typer(cls=_FitByDefault, no_args_is_help=True, add_completion=False)
-
-
-@app.callback()
-def table() -> None:
-    """Learn columns of a CSV file from the others (fit, the default), or write regions of new rows (predict)."""
+_HELP = "Learn columns of a CSV file from the others (fit, the default), or write regions of new rows (predict)."
+app = typer.Typer(cls=_FitByDefault, help=_HELP, no_args_is_help=True, add_completion=False)
 
 
 class Split(StrEnum):
@@ -70,7 +68,7 @@ def fit(
     file: Annotated[Path, typer.Argument(help="CSV file with a line of column names.")],
     target: Annotated[list[str], typer.Option(help="Column to predict; repeat it for several, covered together.")],
     group: Annotated[
-        list[str] | None, typer.Option(help="Column whose values are groups: coverage is guaranteed in each.")
+        str | None, typer.Option(help="Column whose values are groups: coverage is guaranteed in each.")
     ] = None,
     exclude: Annotated[
         list[str] | None, typer.Option(help="Column to leave out, such as one known after the target; repeatable.")
@@ -101,20 +99,20 @@ def fit(
     model: Annotated[
         Path | None, typer.Option(help="File for the fitted regressor, for 'table predict'; needs the extra 'save'.")
     ] = None,
+    quiet: Quiet = False,  # heeded by the terminal
+    as_json: AsJson = False,
 ) -> None:
     """Learn columns of a CSV file from the others; print regions of unseen rows and their coverage."""
     if question := doubt_alpha(alpha):
         raise TableError(question)
     _check_outputs(plot, model)
-    if len(group or []) > 1:
-        raise TableError(f"--group names one column, got {listed(group or [])}; ConditionalConformal takes several")
     if unit is not None and (group or split is Split.TIME):
         raise TableError("--unit cannot be used with --group or --split time")
-    by = group[0] if group else None
     written: dict[str, Any] = {"decimal": decimal, "thousands": thousands, "na_values": na_values or []}
     frame, notes = read_table(file, CsvFormat("\t" if sep == r"\t" else sep, **written))
-    left_out = [*(exclude or []), *([] if unit is None else [unit])]
-    X, y, more = choose_columns(frame, target, by, str(file), left_out)
+    left_out = [name for given in exclude or () for name in ([given] if given in frame else given.split(","))]
+    left_out += [] if unit is None else [unit]
+    X, y, more = choose_columns(frame, target, group, str(file), left_out)
     for note in (*notes, *more, *doubt_targets(X, y, y_min)):
         report_line(note)
     units = None if unit is None else frame[unit].loc[X.index].astype(str)
@@ -124,7 +122,7 @@ def fit(
     reg = ConformalRegressor(
         alpha=alpha, joint=joint, random_state=seed, calibration=held_out, y_min=y_min, y_max=y_max
     )
-    train_groups, test_groups = (X[by].iloc[rows] if by else None for rows in (train, test))
+    train_groups, test_groups = (X[group].iloc[rows] if group else None for rows in (train, test))
     with warning_lines(UserWarning, lambda text: report_line(f"note: {text}")):
         reg.fit(X.iloc[train], y.iloc[train], groups=train_groups, units=None if units is None else units.iloc[train])
         regions = reg.predict_region(X.iloc[test], groups=test_groups)
@@ -155,6 +153,7 @@ def fit(
         report_line(f"regressor: {model.resolve()}")
     if plot is not None:
         _draw(reg.predict_density(X.iloc[test]), regions, y.iloc[test], diagnosis, plot)
+    print_json(json.loads(json.dumps(asdict(diagnosis)), parse_constant=lambda _: None))  # infinite sizes
 
 
 app.command()(predict)
@@ -221,7 +220,9 @@ def choose_columns(
     needed = [*targets, *([] if group is None else [group])]
     for name in (*needed, *excluded):
         if name not in frame:
-            raise TableError(f"{file}: has no column {name!r}; its columns are {', '.join(map(repr, frame.columns))}")
+            close = get_close_matches(name, frame.columns, 1)
+            hint = f" (did you mean {close[0]!r}?)" if close else ""
+            raise TableError(f"{file}: has no column {name!r}{hint}; it has {', '.join(map(repr, frame.columns))}")
         if [*needed, *excluded].count(name) > 1:
             raise TableError(f"{file}: column {name!r} can only be one of target, group and excluded")
     for name in targets:
