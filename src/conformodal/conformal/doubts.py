@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Self
 
 import numpy as np
-from scipy.special import bdtrc
+from scipy.special import bdtr, bdtrc
 from scipy.stats import rankdata
 from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.model_selection import GroupKFold
@@ -216,12 +216,13 @@ def _doubt_order(X: Any, columns: list[Any], matrix: FloatArray, z: FloatArray) 
 
 
 def _held_later(matrix: FloatArray, z: FloatArray) -> float:
-    """Share of the last fifth of rows, in time, that sets for 90 % hold if the rows before give them."""
+    """Share of the last fifth of rows that sets for 90 % from the rows before hold; 1 if chance explains it."""
     if not matrix.shape[1]:
         return 1.0
     later = np.arange(len(z)) >= len(z) - len(z) // 5
     reach = np.quantile(np.abs(_left_out(matrix, z, np.arange(len(z)))), 0.9, axis=0)
-    return float((np.abs(_errors(matrix, z, ~later, later)) <= reach).mean(axis=0).min())
+    n_held = (np.abs(_errors(matrix, z, ~later, later)) <= reach).sum(axis=0).min()
+    return float(n_held / later.sum()) if bdtr(n_held, later.sum(), 0.9) < _CHANCE else 1.0
 
 
 def _left_out(matrix: FloatArray, z: FloatArray, units: IntArray) -> FloatArray:
