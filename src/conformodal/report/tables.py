@@ -24,7 +24,7 @@ _SET, _INSIDE, _OUTSIDE = "#56B4E9", "#0072B2", "#D55E00"
 _DARKEST = 0.98  # quantile of the densities that is drawn darkest: narrow bins have peaks
 _MARGIN = 0.05
 _LARGE = 1e4  # values from here on have k, M or G on their axis
-_INCHES_PER_ROW, _FEWEST_ROWS, _LONGEST = 0.28, 3, 32  # of coverages; characters of a label
+_INCHES_PER_ROW, _FEWEST_ROWS, _LONGEST = 0.28, 5, 32  # of coverages; characters of a label
 
 
 def draw_regions(
@@ -95,7 +95,8 @@ def draw_regions(
     for axis, ends in ((ax.xaxis, at), (ax.yaxis, values)):
         if np.abs(ends).max() >= _LARGE:
             axis.set_major_formatter(EngFormatter(sep=""))
-    ax.legend(loc="best", fontsize="small", markerscale=2)
+    # above the axes, where it hides no row
+    ax.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=4, frameon=False, fontsize="small", markerscale=2)
     return ax
 
 
@@ -121,7 +122,7 @@ def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None)
     short = [(label if len(label) <= _LONGEST else f"{label[:_LONGEST]}…", check) for label, check in rows]
     ax.set_yticks(range(len(rows)), [f"{label} ({check.n_test})" for label, check in short])
     ax.set_xlim(left=ax.get_xlim()[0] - 0.005, right=1.005)
-    ax.set_ylim(-1, max(len(rows), _FEWEST_ROWS))
+    ax.set_ylim(min(-1, (len(rows) - _FEWEST_ROWS) / 2), max(len(rows), (len(rows) + _FEWEST_ROWS) / 2 - 1))
     ax.set_xlabel("\n".join(filter(None, ["coverage (bars: bands, crosses: outside)", guarantee.rest()])))
     together = f"{diagnosis.level:.0%} band" + ("s, all at once" if diagnosis.n_bands > 1 else "")
     ax.set_title(f"{guarantee.name}: coverage and {together}", fontsize="medium")
