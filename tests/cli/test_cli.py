@@ -89,11 +89,13 @@ def test_evaluate_agrees_with_run(results, small_world):
     for name in ("joint_coverage", "n_bounded", "bounded_coverage", "abstained"):
         assert evaluated["coverage"][name] == pytest.approx(ran["coverage"][name])
     again = run_ok("evaluate", results, "--truth", results / "truth.tum", "--align", "sim3")
-    aligned = json.loads((results / "evaluation" / "metrics.json").read_text())["errors"]["smoothed"]
+    aligned = json.loads((results / "evaluation-sim3" / "metrics.json").read_text())["errors"]["smoothed"]
     before = evaluated["errors"]["smoothed"]
     assert aligned["rmse_m"] < before["rmse_m"]
     assert aligned["rpe_rmse_deg"] == pytest.approx(before["rpe_rmse_deg"], rel=1e-3)  # no alignment changes it
-    assert 0 <= aligned["recall"]["0.05 m, 5 deg"] <= aligned["recall"]["0.5 m, 5 deg"] <= 1
+    table = np.genfromtxt(results / "evaluation" / "errors.csv", delimiter=",", names=True)
+    assert np.sqrt(np.mean(table["smoothed_m"] ** 2)) == pytest.approx(before["rmse_m"])
+    assert "<svg" in (results / "evaluation" / "errors.svg").read_text()
     assert "aligned by sim3" in again.output
     assert "absent.tum" in refusal("evaluate", results, "--truth", results / "absent.tum")
     assert "metrics.json" in refusal("evaluate", small_world.folder, "--truth", small_world.folder)
@@ -101,12 +103,13 @@ def test_evaluate_agrees_with_run(results, small_world):
 
 def test_evaluate_doubts_a_truth_that_is_not_what_it_seems(results, tmp_path):
     rows = np.loadtxt(results / "truth.tum")
-    none, order, late = rows.copy(), rows.copy(), rows.copy()
+    none, order, late, centimetres = (rows.copy() for _ in range(4))
     none[:, 4:] = 0, 0, 0, 1
     order[:, 4:] = np.roll(rows[:, 4:], 1, axis=1)
     late[:, 0] += 3.0
+    centimetres[:, 1:4] *= 100
     told = {}
-    for name, table in {"none": none, "order": order, "late": late}.items():
+    for name, table in {"none": none, "order": order, "late": late, "centimetres": centimetres}.items():
         np.savetxt(tmp_path / f"{name}.tum", table)
         told[name] = " ".join(run_ok("evaluate", results, "--truth", tmp_path / f"{name}.tum").stdout.split())
         evaluated = json.loads((results / "evaluation" / "metrics.json").read_text())
@@ -114,6 +117,7 @@ def test_evaluate_doubts_a_truth_that_is_not_what_it_seems(results, tmp_path):
         assert (evaluated["coverage"]["joint_coverage"] is None) == (name == "none")
         assert ("rmse_deg" in evaluated["errors"]["online"]) == (name != "none")
     assert "its orientations are all the same" in told["none"]
+    assert "seem to be in centimetres" in told["centimetres"]
     assert "in the order w x y z" in told["order"]
     ahead = re.search(r"clock seems to be ([\d.]+) s ahead", told["late"])
     assert float(ahead[1]) == pytest.approx(3, abs=0.05)

@@ -63,8 +63,6 @@ def test_the_demo_compares_with_a_regressor(out):
     assert metrics["command"] == "demo"
     assert set(metrics["errors"]) == {"online", "smoothed", "hindsight", "classical"}
     assert metrics["ambiguity"]["n_places"] > 0
-    ratio = metrics["errors"]["classical"]["rmse_m"] / metrics["errors"]["smoothed"]["rmse_m"]
-    assert f"{ratio:.2f}" in result.output
     answer = read_tum(out / "trajectory.tum")
     assert len(answer) == len(read_tum(out / "methods" / "classical.tum")) == metrics["n_answered"]
     assert "classical regressor" in (out / "report.html").read_text()

@@ -187,14 +187,13 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
 
 def _verdict(metrics: dict[str, Any]) -> list[str]:
     """What holds, how large regions are, and what to do, one line each."""
-    n, n_unknown, size, unit = (metrics[name] for name in ("n_answered", "n_unknown", "median_length", "configuration"))
-    unit, coverage = unit["unit"], metrics.get("coverage")
+    n, n_unknown, size = (metrics[name] for name in ("n_answered", "n_unknown", "median_length"))
+    unit, coverage = metrics["configuration"]["unit"], metrics.get("coverage")
     holds = "no true poses here; conformodal evaluate OUT --truth FILE counts them"
     if coverage is not None:
         holds = f"{describe_coverage(coverage)}{_explain(coverage)}"
-    extent = "no region is bounded"
-    if size is not None:
-        extent = f"regions are {' x '.join(f'{side:.3g}' for side in size)} {unit} (x, y, z; median)"
+    sides = " x ".join(f"{side:.3g}" for side in size or [])
+    extent = f"regions are {sides} {unit} (x, y, z; median)" if sides else "no region is bounded"
     if "errors" in metrics:
         extent += f"; median error of the position {length(next(iter(metrics['errors'].values()))['median_m'], unit)}"
     step = f"use the {n - metrics['n_unreliable']} of {counted(n, 'pose')} marked reliable; {PAGE} shows each frame"
@@ -214,25 +213,19 @@ def _explain(coverage: dict[str, Any]) -> str:
         return ""
     if coverage["joint"] == "none":
         return ", fewer than each number of the pose alone, as is to be expected of seven"
-    band = coverage["joint_band_99"]
-    if band is None:
-        return f", fewer than the {asked:g} asked for: a guarantee is an average over new stretches, and this is one"
+    if (band := coverage["joint_band_99"]) is None:
+        return f", fewer than the {asked:g} asked for"
     within = "as" if band[0] <= coverage["joint_coverage"] else "fewer than"
     return f", {within} chance allows ({band[0]:.3f} to {band[1]:.3f} over all frames, 99 % band)"
 
 
 def write_answers(
-    answers: Answers,
-    metrics: dict[str, Any],
-    title: str,
-    summary: list[str],
-    walls: Sequence[FloatArray] = (),
+    answers: Answers, metrics: dict[str, Any], title: str, summary: list[str], walls: Sequence[FloatArray] = ()
 ) -> None:
     """Write metrics and the page."""
     folder, records, runner = answers.writer.folder, answers.writer.records, answers.runner
     write_metrics(folder, metrics)
-    level = answers.model.rules.level
-    unit = metrics["configuration"]["unit"]
+    level, unit = answers.model.rules.level, metrics["configuration"]["unit"]
     viewer = make_viewer(records, answers.trajectories, runner.truth, answers.pictures, level, walls, unit)
     write_page(folder / PAGE, title, summary, metrics, viewer)
 
@@ -247,10 +240,6 @@ def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:
     ]
     if n_unknown:
         lines.append(f"{n_unknown} of {n} {noun_for(n_unknown, 'shows', 'show')} no known place: unbounded there.")
-    if n_unbounded := metrics["n_unbounded"]:
-        lines.append(f"The regions of {n_unbounded} others are unbounded: too few frames like these calibrate.")
-    if metrics["stopped"]:
-        lines.append(f"Stopped early: {metrics['stopped']}. All results up to then are here.")
     return lines
 
 
@@ -268,24 +257,20 @@ def report_outcome(name: str, metrics: dict[str, Any]) -> None:
     if "errors" not in metrics:
         return
     print_errors(metrics["errors"], metrics["split_note"], metrics["configuration"]["unit"], detail=True)
-    coverage, band = metrics["coverage"], metrics["coverage"]["joint_band_99"]
-    between = "" if band is None else f" (99 % band {band[0]:.3f} to {band[1]:.3f})"
-    report_detail(
-        f"{describe_coverage(coverage)}; over all frames {coverage['joint_coverage']:.3f}{between}, "
-        f"alpha = {coverage['alpha']} ({coverage['joint']}). {coverage['assumption']}"
-    )
+    report_detail(metrics["coverage"]["assumption"])
 
 
 def print_errors(errors: dict[str, dict[str, float]], note: str, unit: str, *, detail: bool = False) -> None:
     """The table of errors by method."""
-    columns = [name for name in ("rmse_m", "rmse_deg", "median_m", "median_deg") if name in next(iter(errors.values()))]
-    headings = [column.replace("_m", f"_{unit}") for column in columns]
+    shown = ("rmse_m", "rmse_deg", "median_m", "median_deg", "rpe_rmse_m", "rpe_rmse_deg")
+    columns = [name for name in shown if name in next(iter(errors.values()))]
+    headings = [f"{column.removesuffix('_m')}_{unit}" if column.endswith("_m") else column for column in columns]
     width = max(map(len, METHOD_LABELS.values()))
     report_line(f"errors, {note}", detail=detail)
-    report_line(" │ ".join([f"{'method':<{width}}", *(f"{heading:>12}" for heading in headings)]), detail=detail)
+    report_line(" │ ".join([f"{'method':<{width}}", *(f"{heading:>8}" for heading in headings)]), detail=detail)
     for name, row in errors.items():
-        label = METHOD_LABELS.get(name, name)
-        report_line(" │ ".join([f"{label:<{width}}", *(f"{row[column]:>12.4f}" for column in columns)]), detail=detail)
+        values = [f"{row[column]:>{max(8, len(head))}.4f}" for column, head in zip(columns, headings, strict=True)]
+        report_line(" │ ".join([f"{METHOD_LABELS.get(name, name):<{width}}", *values]), detail=detail)
 
 
 def describe_coverage(coverage: dict[str, Any]) -> str:

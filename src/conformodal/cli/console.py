@@ -169,13 +169,13 @@ def progress_bars(folder: Path | None = None) -> Iterator[StageProgress]:
     """One bar per stage; without a terminal, and in the log of a folder, the stage under way every ten seconds."""
     columns = ("{task.description:>12}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     reported_at, console = time.monotonic(), Console(stderr=True)
-    if folder is not None:
-        _terminal.log_to(folder / _LOG)
     with Progress(*columns, console=console, disable=_terminal.quiet or not console.is_terminal) as progress:
         tasks: dict[str, TaskID] = {}
 
         def report(stage: str, done: int, total: int) -> None:
             nonlocal reported_at
+            if folder is not None and _terminal.log is None:  # what is refused before any work leaves the log before
+                _terminal.log_to(folder / _LOG)
             if stage not in tasks:
                 tasks[stage] = progress.add_task(stage)
             progress.update(tasks[stage], completed=done, total=total or None)

@@ -94,10 +94,6 @@ def demo(
         write_answers(answers, metrics, "conformodal: a corridor of identical rooms", summary, world.plan())
     report_outcome("demo", metrics)
     report_line(alike)
-    rmse_m = {name: row["rmse_m"] for name, row in metrics["errors"].items()}
-    regressor = rmse_m.pop("classical")
-    ratios = ", ".join(f"{name} {regressor / error:.2f}" for name, error in rmse_m.items())
-    report_line(f"rmse_m of the classical regressor / of the method: {ratios} ({metrics['seconds']:.0f} s in all)")
     report_line(f"open {(out / PAGE).resolve()}")
     print_where(out)
 

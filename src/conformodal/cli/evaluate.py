@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,10 +13,11 @@ import numpy as np
 import typer
 
 from conformodal.core.arrays import FloatArray
+from conformodal.core.files import write_whole
 from conformodal.core.words import counted, noun_for
-from conformodal.geometry import Alignment, Trajectory, align, poses_at, recall, relative_errors
+from conformodal.geometry import Alignment, Trajectory, align, poses_at, relative_errors
 from conformodal.geometry.doubts import doubt_clock, doubt_truth
-from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, straightness
+from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, orientation_errors_deg, position_errors_m, straightness
 from conformodal.io import Layout
 from conformodal.io.folders import writing_in
 from conformodal.localizer.candidates import TARGET_NAMES
@@ -49,8 +53,12 @@ def evaluate(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compare results with true poses, interpolated by time. Writes OUT/evaluation/metrics.json."""
-    with writing_in(out), lock_output(out / "evaluation", "evaluate"):
+    """Compare results with true poses: errors of every path and frame, and coverage.
+
+    Poses are interpolated by time. Writes OUT/evaluation, or OUT/evaluation-ALIGNMENT.
+    """
+    folder = out / ("evaluation" if alignment is Alignment.NONE else f"evaluation-{alignment}")
+    with writing_in(out), lock_output(folder, "evaluate"):
         result = read_run(out)
         true_poses = _read_truth(truth, layout, time_offset)
         times = result.answer.timestamps_s
@@ -71,7 +79,7 @@ def evaluate(
         clock = doubt_clock(result.answer, true_poses)
         reasons = [f"{truth.name}: {reason}" for reason in (*doubts.reasons, clock) if reason]
         if doubts.positions_only:
-            # relative errors and the recall need orientations
+            # relative errors need orientations
             errors = {name: {key: row[key] for key in ("rmse_m", "median_m")} for name, row in errors.items()}
         elif alignment in (Alignment.SE3, Alignment.SIM3):
             reasons += filter(None, [straightness(matched, next(iter(errors.values()))["rmse_m"])])
@@ -93,7 +101,10 @@ def evaluate(
             "errors": errors,
             "coverage": coverage,
         }
-        write_metrics(out / "evaluation", evaluation)
+        write_metrics(folder, evaluation)
+        unit = (result.metrics.get("configuration") or {}).get("unit", "m")
+        names = [result.records[i]["frame"] for i in posed]
+        _write_frame_errors(folder, names, aligned, matched, unit, positions_only=doubts.positions_only)
     hint = clock_hint(times, true_poses.timestamps_s) if 2 * len(posed) < len(times) else ""
     report_line(
         f"{len(posed)} of {counted(len(times), 'pose')} {noun_for(len(posed), 'has', 'have')} a true one; the largest "
@@ -102,11 +113,27 @@ def evaluate(
     for reason in reasons:
         report_line(reason, bold=True)
     aligned_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
-    unit = (result.metrics.get("configuration") or {}).get("unit", "m")
     print_errors(errors, f"against {truth.name}{aligned_by}", unit)
     report_line(describe_coverage(coverage))
-    print_where(out / "evaluation")
+    print_where(folder)
     print_json(evaluation)
+
+
+def _write_frame_errors(
+    folder: Path, names: list[str], paths: dict[str, Trajectory], truth: Trajectory, unit: str, *, positions_only: bool
+) -> None:
+    """Write ``errors.csv``, one row per frame, and ``errors.svg`` if the extra ``figures`` is installed."""
+    measures = {unit: position_errors_m} | ({} if positions_only else {"deg": orientation_errors_deg})
+    errors = {name: np.column_stack([of(path, truth) for of in measures.values()]) for name, path in paths.items()}
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["frame", "timestamp_s", *(f"{name}_{measure}" for name in paths for measure in measures)])
+    rows.writerows(zip(names, truth.timestamps_s, *np.hstack(list(errors.values())).T, strict=True))
+    write_whole(folder / "errors.csv", text.getvalue())
+    if find_spec("matplotlib"):
+        from conformodal.report.figures import errors_figure  # noqa: PLC0415 - an extra
+
+        write_whole(folder / "errors.svg", errors_figure(truth.timestamps_s, errors, unit))
 
 
 def _coverage(
@@ -133,16 +160,12 @@ def _coverage(
     }
 
 
-def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, Any]:
-    """Recall, and relative errors from pose to pose."""
-    errors: dict[str, Any] = {"recall": recall(estimate, truth)}
-    if len(truth) > 1:
-        metres, degrees = relative_errors(estimate, truth)
-        errors |= {
-            "rpe_rmse_m": float(np.sqrt(np.mean(metres**2))),
-            "rpe_rmse_deg": float(np.sqrt(np.mean(degrees**2))),
-        }
-    return errors
+def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
+    """Relative errors from pose to pose, as evo has them."""
+    if len(truth) < 2:
+        return {}
+    metres, degrees = relative_errors(estimate, truth)
+    return {"rpe_rmse_m": float(np.sqrt(np.mean(metres**2))), "rpe_rmse_deg": float(np.sqrt(np.mean(degrees**2)))}
 
 
 def _read_truth(path: Path, layout: Layout, offset_s: float) -> Trajectory:

@@ -23,7 +23,7 @@ COMMANDS = {
     "train": "Train on a data set with poses, calibrate, and save the model.",
     "run": "Compute regions and the trajectory of sources with a saved model, frame by frame. Ctrl-C stops it and "
     "keeps the results.",
-    "evaluate": "Compare results with true poses, interpolated by time. Writes OUT/evaluation/metrics.json.",
+    "evaluate": "Compare results with true poses: errors of every path and frame, and coverage.",
     "info": "Print what a saved model's regions hold, how large they are, and what to do next.",
     "data": "Check or convert a data set.",
     "table": "Learn columns of a CSV file from the others (fit, the default), or write regions of new rows (predict).",

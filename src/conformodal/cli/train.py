@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -128,8 +128,6 @@ def train_on(
         "seed": config.seed,
         "split": split,
         "guarantee": describe_guarantee(model),
-        "source_comparison": None if model.comparison is None else asdict(model.comparison),
-        "landmarks": None if model.landmarks is None else model.landmarks.summary,
         "quality": None if quality is None else quality_record(quality),
         "seconds": round(time.perf_counter() - started, 2),
     }

@@ -10,7 +10,6 @@ from .metrics import (
     orientation_errors_deg,
     poses_at,
     position_errors_m,
-    recall,
     relative_errors,
     trajectory_errors,
 )

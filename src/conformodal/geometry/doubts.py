@@ -14,6 +14,7 @@ from .poses import Trajectory
 
 _SAME_DEG, _TURNS_DEG = 0.01, 5.0  # orientations that never change, while the camera turns
 _WRONG_DEG, _MENDED = 10.0, 1 / 3  # a median error that asks for a cause, and what is left of it with the right one
+_UNITS = {"centimetres": 100.0, "millimetres": 1000.0}
 _MOST_SHIFT_S, _COARSE_S, _LEAST_STEPS, _LEAST_OVERLAP = 60.0, 0.1, 20, 0.5
 _CLEAR, _BETTER = 0.6, 0.2  # rank correlation of speeds at the right shift, and above that as given
 
@@ -30,6 +31,11 @@ def doubt_truth(estimate: Trajectory, truth: Trajectory) -> TruthDoubts:
     """Doubts about the orientations of a truth, and about the body that it is of, of poses (n,) of the same frames."""
     if len(truth) < 2:
         return TruthDoubts(False, ())
+    far, true_far = (float(np.linalg.norm(np.ptp(path.positions_xyz, axis=0))) for path in (estimate, truth))
+    for unit, factor in _UNITS.items():
+        if 0.7 * factor * far < true_far < 1.4 * factor * far:
+            times = f"it reaches {true_far:.3g} where the estimate reaches {far:.3g}"
+            return TruthDoubts(False, (f"{times}: its positions seem to be in {unit}, expected metres",))
     rotations = [Rotation.from_quat(path.orientations_quat_wxyz, scalar_first=True) for path in (estimate, truth)]
     turns_deg = [np.degrees((r[0].inv() * r).magnitude()) for r in rotations]
     if turns_deg[1].max() < _SAME_DEG and np.median(turns_deg[0]) > _TURNS_DEG:

@@ -49,16 +49,6 @@ def trajectory_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, floa
     }
 
 
-# Metres and degrees, as re-localisation papers give them.
-_RECALL_THRESHOLDS = ((0.05, 5.0), (0.1, 1.0), (0.25, 2.0), (0.5, 5.0), (5.0, 10.0))
-
-
-def recall(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
-    """Share of poses within thresholds of both position and orientation, by ``"0.05 m, 5 deg"``."""
-    metres, degrees = position_errors_m(estimate, truth), orientation_errors_deg(estimate, truth)
-    return {f"{m:g} m, {d:g} deg": float(np.mean((metres <= m) & (degrees <= d))) for m, d in _RECALL_THRESHOLDS}
-
-
 def in_seconds(times: FloatArray) -> tuple[FloatArray, str]:
     """Times in seconds; and their unit, if they are too large for seconds, else nothing.
 

@@ -161,8 +161,14 @@ class ResultsWriter:
         for file in self._open.values():
             file.close()
         if kind is None:
-            old = [TRUTH, "regions.parquet", "report.html", f"evaluation/{METRICS}", METRICS]
-            old += [f"methods/{path.name}" for path in (self.folder / "methods").glob("*.tum")]
+            old = [TRUTH, "regions.parquet", "report.html", METRICS]
+            for pattern in (
+                "methods/*.tum",
+                f"evaluation*/{METRICS}",
+                "evaluation*/errors.csv",
+                "evaluation*/errors.svg",
+            ):
+                old += [str(path.relative_to(self.folder)) for path in self.folder.glob(pattern)]
             for name in set(old) - self._open.keys():
                 (self.folder / name).unlink(missing_ok=True)
             for name in self._open:

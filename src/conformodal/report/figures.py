@@ -1,4 +1,4 @@
-"""The plan of a recording, as SVG text, and the page of its quality.
+"""The plan of a recording and errors over time, as SVG text, and the page of a recording's quality.
 
 Colours are those of Okabe and Ito, which colour-blind people can tell apart; truth is black and dashed as well.
 """
@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.core.arrays import rows_by_label
+from conformodal.core.arrays import FloatArray, rows_by_label
 from conformodal.core.extras import require_extra
 from conformodal.core.files import write_whole
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.view_coverage import QUALITY
 
-from .page import PAGE, render_page
+from .page import METHOD_LABELS, PAGE, render_page
 
 with require_extra("figures", "a figure"):
     import matplotlib as mpl
@@ -66,6 +66,23 @@ def quality_plan(quality: RecordingQuality) -> str | None:
     first, second = (f"{'xyz'[k]} (m)" for k in quality.axes)
     axis.set(xlabel=first, ylabel=second)
     figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    return as_svg(figure)
+
+
+def errors_figure(times_s: FloatArray, errors: dict[str, FloatArray], unit: str) -> str:
+    """Errors (n, 2) of positions and orientations over time, by method, as SVG text; (n, 1) of positions alone."""
+    n = next(iter(errors.values())).shape[1]
+    figure = Figure(figsize=(10, 1 + 2.5 * n), layout="constrained")
+    axes = figure.subplots(n, sharex=True, squeeze=False)[:, 0]
+    for (name, of_method), colour in zip(errors.items(), (_GOOD, _SPARSE, _FAST, _AMBIGUOUS), strict=False):
+        style: dict[str, Any] = {"ms": 3, "lw": 0.8, "color": colour, "label": METHOD_LABELS.get(name, name)}
+        for axis, values in zip(axes, of_method.T, strict=True):
+            axis.plot(times_s - times_s[0], values, ".-", **style)
+    scale = "log" if all((of_method > 0).any(axis=0).all() for of_method in errors.values()) else "linear"
+    for axis, what in zip(axes, (f"position ({unit})", "orientation (degrees)"), strict=False):
+        axis.set(yscale=scale, ylabel=what)
+    axes[-1].set_xlabel("time (s)")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
     return as_svg(figure)
 
 
