@@ -295,15 +295,15 @@ def test_a_saved_model_predicts_new_rows_by_the_names_of_their_columns(tmp_path,
     parquet = pytest.importorskip("pyarrow.parquet")
     shorten_fits(monkeypatch)
     table = rentals().drop(columns=["casual", "registered"])
-    table.to_csv(tmp_path / "old.csv", index=False)
+    dated = table.assign(when=pd.to_datetime(table["when"], format="%d/%m/%Y %H:%M"))
+    (table.to_csv if kind == "csv" else dated.to_parquet)(tmp_path / f"old.{kind}", index=False)
     fit = ("--target", "count", "--model", tmp_path / "reg.cm", "--min", 0, "--group", "site")
-    told = run_ok("table", "fit", tmp_path / "old.csv", *fit).output
+    told = run_ok("table", "fit", tmp_path / f"old.{kind}", *fit).output
     assert "when (date: year, month, day of the year, weekday and hour)" in told
     reg = ConformalRegressor.load(tmp_path / "reg.cm")
-    new = table.iloc[40:55].assign(when=lambda t: pd.to_datetime(t["when"], format="%d/%m/%Y %H:%M"), extra=1)
-    known, expected = new, reg.predict_table(new)
-    # days of up to 12 only, which are read as in training
-    assert (new["when"].dt.day <= 12).all()
+    new = dated.iloc[40:55].assign(extra=1)
+    known, expected = new, reg.predict_table(new.assign(when=new["when"].dt.tz_localize("UTC")))
+    assert (new["when"].dt.day <= 12).all()  # and are read as in training
     if kind == "csv":
         new = new.assign(when=new["when"].dt.strftime("%d/%m/%Y %H:%M"))
     shuffled = new[[*reversed(new.columns)]]

@@ -65,7 +65,7 @@ class Split(StrEnum):
 
 @app.command()
 def fit(
-    file: Annotated[Path, typer.Argument(help="CSV file with a line of column names.")],
+    file: Annotated[Path, typer.Argument(help="CSV file with a line of column names, or a Parquet file.")],
     target: Annotated[list[str], typer.Option(help="Column to predict; repeat it for several, covered together.")],
     group: Annotated[
         str | None, typer.Option(help="Column whose values are groups: coverage is guaranteed in each.")

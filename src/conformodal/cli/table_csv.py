@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from conformodal.conformal.density.encoder import as_column, is_time
 from conformodal.core.arrays import AnyArray, FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.files import read_file
@@ -57,6 +58,8 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
     most cells; where none leaves no doubt, a comma beside semicolons, else a point. Marks between thousands are read
     where `written` names them, and refused elsewhere.
     """
+    if file.suffix == ".parquet":
+        return _read_parquet(file)
     for name, mark in (("sep", written.sep), ("decimal", written.decimal), ("thousands", written.thousands)):
         if mark is not None and len(mark) != 1:
             raise TableError(f"--{name} must be one character, got {mark!r}")
@@ -95,6 +98,21 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
     frame = pd.DataFrame(columns, cells.index)
     frame.attrs["day_first"] = day_first
     return frame, notes
+
+
+def _read_parquet(file: Path) -> tuple[pd.DataFrame, list[str]]:
+    """A Parquet file as a CSV file would be read: numbers in float64, times in UTC, all else as text."""
+    try:
+        frame = pd.read_parquet(file).reset_index(drop=True)
+    except (OSError, ValueError) as exc:
+        raise TableError(f"{file}: cannot be read as Parquet: {' '.join(str(exc).split())}") from None
+    for name, column in frame.items():
+        if is_time(column):
+            frame[name] = pd.to_datetime(column, utc=True).dt.tz_localize(None)
+        else:
+            frame[name] = pd.Series(as_column(column, name)).replace("", None)
+    frame.attrs["day_first"] = []
+    return frame, [f"{file}: {counted(len(frame), 'row')}, {counted(frame.shape[1], 'column')}"]
 
 
 def _lines(text: str, above: int, separator: str, n: int) -> IntArray:

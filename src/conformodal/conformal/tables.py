@@ -40,6 +40,8 @@ def as_inputs(reg: ConformalRegressor, table: Any) -> Any:
     frame = frame if hasattr(frame, "iloc") else frame.to_pandas()
     for name, memory in zip(reg.columns_, reg.memory_.columns, strict=False):
         column = frame[name]
+        if hasattr(reg, "file_format_") and getattr(column.dtype, "tz", None) is not None:
+            frame = frame.assign(**{name: column.dt.tz_convert(None)})  # files are read so, in UTC
         if not memory.dated or column.dtype.kind == "M" or is_time(column):
             continue
         with require_extra("table", "reading text as dates"):
