@@ -31,7 +31,7 @@ _LEAST_HEAT = 0.05  # of a corner
 _SUPPRESSED_PX = 5  # across; the hottest pixel of a window is its only corner
 _UNIT = 254.0  # length of directions as bytes: their components rarely exceed a half
 # Matches of bits: ratio of the distances to the nearest and the second nearest (Lowe 2004); of directions: cosine
-_RATIO, _LEAST_COSINE = 0.85, 0.75
+_RATIO, _LEAST_COSINE = 0.85, 0.82
 # of matches where a pose says that they are: less than a quarter of the bits differ; cosine
 _GUIDED_BITS, _GUIDED_COSINE = 0.5, 0.75
 
@@ -81,6 +81,9 @@ class Detector(ABC):
 
     def __init__(self, content: bytes = b"") -> None:
         self.content = content
+
+    def __reduce__(self) -> tuple[type[Self], tuple[bytes]]:
+        return type(self), (self.content,)  # sessions stay in their process
 
     @abstractmethod
     def __call__(self, grey: UInt8Array) -> Corners:
@@ -239,6 +242,12 @@ class Matcher:
 
     def __init__(self) -> None:
         self._cached: dict[tuple[int, int], tuple[LocalFeatures, LocalFeatures, IntArray]] = {}
+
+    def __getstate__(self) -> list[tuple[LocalFeatures, LocalFeatures, IntArray]]:
+        return list(self._cached.values())
+
+    def __setstate__(self, state: list[tuple[LocalFeatures, LocalFeatures, IntArray]]) -> None:
+        self._cached = {(id(one), id(other)): (one, other, pairs) for one, other, pairs in state}
 
     def __call__(self, one: LocalFeatures, others: Sequence[LocalFeatures]) -> list[IntArray]:
         """Matches (m, 2) of the descriptors of an image and of each of other images, see :func:`match`."""

@@ -21,14 +21,15 @@ from conformodal.geometry.adjustment import MEDIAN_OF_NORM2
 from conformodal.geometry.triangulation import nearest_kilometres
 from conformodal.localizer.evidence import PoseMeasurement
 
-# Retrieval: keyframes matched in the most similar cluster and in each of the others, clusters at most, and keyframes
-# that are clustered
-_FIRST, _OTHERS, _CLUSTERS, _RETRIEVED = 6, 3, 8, 200
+# Retrieval: keyframes matched in each cluster, and in the most similar if those give no sure pose; clusters at most,
+# and keyframes that are clustered
+_FEW, _MORE, _CLUSTERS, _RETRIEVED = 3, 6, 8, 200
 _SPREAD = 0.05  # scene depths plus radians by which keyframes of a cluster differ; 0.1 makes poses worse on fr1
 _RADIUS = 0.5  # of a cluster, as a share of the scene's depth
 _MAX_DISTANCE_RATIO = 5.0  # descriptor distance of a cluster over that of the first
 MIN_INLIERS = 12  # of a pose
 _AGREEING = 6  # matches of a keyframe, and most of them, that agree with a pose by more than chance
+_RIVAL = 0.2  # matches of a keyframe that contradict a pose, over its inliers; with fewer, no other pose is as likely
 _MAX_REPROJECTION_PX = 6.0
 _RANSAC = {"max_reproj_error": _MAX_REPROJECTION_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
 _REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 1.0, "max_iterations": 10}  # more take long and hardly move a pose
@@ -120,16 +121,18 @@ class LandmarkMap:
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
         matches, image = {} if matches is None else matches, image.at_pose_time(self.shutter, self.camera)
         estimates: list[PoseMeasurement] = []
-        guided: list[FloatArray] = []  # the poses of those that all keyframes near them support
+        guided: list[_Solution] = []  # those that all keyframes near them support
         for near in self._retrieve(image.global_descriptor, shown):
-            if any(self._agree(self._matched(image, near[:1], matches), image, pose) for pose in guided):
+            if any(self._explained(self._matched(image, near[:1], matches), image, one) for one in guided):
                 continue
-            solution = self._solve(image, self._matched(image, near, matches), shown)
+            solution = self._solve(image, self._matched(image, near[:_FEW], matches), shown)
+            if len(near) > _FEW and (solution is None or len(solution.corners) < _GUIDING_INLIERS):
+                solution = self._solve(image, self._matched(image, near, matches), shown)
             estimate = None if solution is None else self._measured(image, solution, shown)
             if solution is not None and estimate is not None:
                 estimates.append(estimate)
                 if len(solution.corners) >= _GUIDING_INLIERS:
-                    guided.append(solution.T_world_cam)
+                    guided.append(solution)
         return estimates
 
     def _matched(self, image: LocalFeatures, frames: IntArray, matches: dict[int, IntArray]) -> IntArray:
@@ -140,11 +143,12 @@ class LandmarkMap:
             matches[frame] = np.add(pairs, (0, self.starts[frame]))
         return np.concatenate([matches[frame] for frame in frames.tolist()])
 
-    def _agree(self, pairs: IntArray, image: LocalFeatures, T_world_cam: FloatArray) -> bool:
-        """Whether most matches of a keyframe agree with a pose."""
-        pixels, ahead = self._projected(self.points_xyz[pairs[:, 1]].astype(np.float64), T_world_cam)
+    def _explained(self, pairs: IntArray, image: LocalFeatures, solution: _Solution) -> bool:
+        """Whether most matches of a keyframe agree with a pose, or too few contradict it for a rival of the pose."""
+        pixels, ahead = self._projected(self.points_xyz[pairs[:, 1]].astype(np.float64), solution.T_world_cam)
         agree = ahead & (np.linalg.norm(pixels - image.pixels[pairs[:, 0]], axis=1) < _MAX_REPROJECTION_PX)
-        return bool(agree.sum() >= max(_AGREEING, len(pairs) / 2))
+        agreeing, rivals = int(agree.sum()), int((~agree).sum())
+        return agreeing >= max(_AGREEING, rivals) or rivals < _RIVAL * len(np.unique(solution.corners))
 
     def _retrieve(self, descriptor: Float32Array, shown: BoolArray) -> list[IntArray]:
         """Keyframes similar to an image, clustered by position, in order of similarity."""
@@ -158,7 +162,7 @@ class LandmarkMap:
                 break
             apart = np.linalg.norm(self.poses_se3[order, :3, 3] - self.poses_se3[order[0], :3, 3], axis=1)
             here = apart < _RADIUS * self.depth_m
-            clusters.append(self._spread(order[here], _OTHERS if clusters else _FIRST))
+            clusters.append(self._spread(order[here], _FEW if clusters else _MORE))
             order = order[~here]
         return clusters
 
