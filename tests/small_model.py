@@ -26,7 +26,7 @@ from conformodal.pipeline.model import PATHS, ExpectedInput, PathRule, PoseModel
 
 CAMERA = PinholeCamera(150.0, 150.0, 79.5, 59.5, 160, 120, (0.01, -0.01, 0.0, 0.0))
 _FRAMES = np.arange(12)
-_HIDDEN, _BINS = 4, 4
+_HIDDEN, _BINS, _DEPTH_M = 4, 4, 3.0
 
 
 def image():
@@ -60,7 +60,7 @@ def small_model(detector=ORB):
     targets[:, 3:] /= np.linalg.norm(targets[:, 3:], axis=1, keepdims=True)
     bins = QuantileBins(_BINS, 0.02).fit(targets)
     sources = _head(rng, features, sum(bins.sizes)), _neighbours(rng, features, targets), _landmarks(features, detector)
-    localizer = Localizer((*sources,), bins, np.array([1.0, 0, 0, 0]))
+    localizer = Localizer((*sources,), bins, np.array([1.0, 0, 0, 0]), _DEPTH_M)
 
     labels = np.repeat(np.arange(20), 3)
     overall = SplitConformal(localizer.cells, 0.2, "density", "max").set_scale(rng.uniform(1, 2, 7), rng.normal(size=7))
@@ -80,7 +80,7 @@ def small_model(detector=ORB):
         localizer=localizer,
         novelty=novelty,
         rules=rules,
-        prior=MotionPrior(0.5, (0.1, 0.2), (1.0, 0.9), (0.2, 0.1), 3.0, 0.3, 20.0),
+        prior=MotionPrior(0.5, (0.1, 0.2), (1.0, 0.9), (0.2, 0.1), _DEPTH_M, 0.3, 20.0),
         camera=CAMERA,
         detector=detector,
         split=Split("blocks", 0, _FRAMES, np.arange(12, 16), np.arange(16, 20)),

@@ -1,10 +1,13 @@
+import os
 import time
+from math import sqrt
 
+import joblib
 import pytest
 from threadpoolctl import threadpool_info
 
 from conformodal.core import parallel as process
-from conformodal.core.parallel import in_threads, side_by_side
+from conformodal.core.parallel import in_threads, in_workers, side_by_side
 
 
 @pytest.fixture
@@ -48,3 +51,16 @@ def test_an_error_ends_what_other_threads_do(threads, failing):
         side_by_side(*jobs)
     assert len(done) < 1000
     assert in_threads(str, range(3)) == ["0", "1", "2"]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_workers_are_those_of_joblib_and_give_the_same(workers):
+    with joblib.parallel_config(n_jobs=workers):
+        assert in_workers(sqrt, range(5)) == [sqrt(i) for i in range(5)]
+        assert (os.getpid() in in_workers(_process, range(3))) == (workers == 1)
+        with pytest.raises(ValueError, match=r"math domain|expected a nonnegative"):
+            in_workers(sqrt, [1, -1])
+
+
+def _process(_):
+    return os.getpid()

@@ -7,7 +7,7 @@ from conformodal.conformal import QuantileBins
 from conformodal.geometry import fix_sign
 from conformodal.localizer.candidates import Candidates, fuse
 from conformodal.localizer.evidence import PoseMeasurement
-from conformodal.localizer.localizer import BEYOND, RECOGNISED, Beliefs, belief_cells, cells_per_bin, recognised_only
+from conformodal.localizer.localizer import BEYOND, RECOGNISED, Beliefs, belief_cells, recognised_only
 
 SIGN = np.array([1.0, 0, 0, 0])
 
@@ -53,9 +53,31 @@ def test_cells_hold_the_edges_of_the_bins_and_reach_beyond(bins):
         assert (np.diff(widths[-BEYOND:]) > 0).all()  # wider the further away
         np.testing.assert_allclose(widths[:BEYOND], widths[-BEYOND:][::-1])
         assert len(widths) == 800 + 2 * BEYOND
-    assert cells_per_bin(bins) == 80
     many = QuantileBins(900).fit(np.linspace(0, 1, 5000))
     assert belief_cells(many).sizes == [900 + 2 * BEYOND]
+
+
+def test_cells_of_positions_are_fine_for_the_scene_however_far_its_places_are_apart(bins):
+    rng = np.random.default_rng(0)
+    room = rng.uniform(0, 4, (500, 3))
+    targets = np.column_stack((np.concatenate((room, room + 1000)), rng.uniform(-1, 1, (1000, 4))))
+    bins = QuantileBins(10).fit(targets)
+    plain, fine = belief_cells(bins), belief_cells(bins, depth_m=2.0)
+    for j, (coarse, edges) in enumerate(zip(bins.edges_, fine.edges_, strict=True)):
+        assert np.isin(coarse, edges).all()
+        counts = np.diff(np.searchsorted(edges, coarse))
+        if j >= 3:
+            np.testing.assert_array_equal(edges, plain.edges_[j])
+        else:
+            assert set(counts[np.diff(coarse) > 10]) == {256}  # from one room to the other
+            assert (np.diff(coarse) / counts)[np.diff(coarse) < 1].max() <= 2 / 400
+        assert np.ptp(edges) == pytest.approx(np.ptp(plain.edges_[j]))
+    proba = softmaxes(bins, 3)
+    for rows, p, edges, coarse in zip(
+        beliefs(proba).marginals(bins, fine, SIGN), proba, fine.edges_, bins.edges_, strict=True
+    ):
+        starts = np.searchsorted(edges, coarse)
+        np.testing.assert_allclose(np.add.reduceat(rows, starts, axis=1)[:, :-1], p, rtol=1e-6)
 
 
 def test_rows_add_up_to_one_whatever_is_believed(bins):

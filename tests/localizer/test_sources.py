@@ -1,11 +1,13 @@
 """Every pose source: which frames it looks at, that it can be stored, and that others can be added."""
 
+import pickle
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from conformodal.features.local import LocalFeatures
 from conformodal.localizer import LocalizationError
 from conformodal.localizer.evidence import FrameEvidence, PoseMeasurement
 from conformodal.localizer.localizer import Localizer
@@ -132,3 +134,16 @@ def test_a_source_of_ones_own_is_fitted_believed_saved_and_loaded(data_of, tmp_p
     monkeypatch.delitem(registry._KINDS, MeanSource.name)
     with pytest.raises(ModelFileError, match=f"got '{MeanSource.name}'"):
         load_model(tmp_path)
+
+
+def test_other_processes_get_the_data_and_the_matches_so_far(data_of, monkeypatch):
+    data, rng = data_of(100, progress=lambda *_: None), np.random.default_rng(0)
+    images = [LocalFeatures(np.zeros((9, 2)), rng.integers(0, 256, (9, 32), np.uint8), np.ones(3)) for _ in range(2)]
+    data._cache([3, 4], images)
+    matches = data.matcher(images[0], images[1:])
+    other = pickle.loads(pickle.dumps(data))
+    monkeypatch.setattr("conformodal.features.local._best_pairs", None)  # matching again would fail
+    one, two = other.local_features(np.array([3, 4]))
+    np.testing.assert_array_equal(other.matcher(one, [two]), matches)
+    np.testing.assert_array_equal(other.features, data.features)
+    assert isinstance(other.detector, type(data.detector))

@@ -78,7 +78,7 @@ class Claims:
 def test_smaller_errors_that_claim_half_the_spread_are_reported(claimed, too_sure):
     """A final model with 20 % smaller errors keeps the guarantee only if it claims no smaller spread than it has."""
     targets = np.random.default_rng(0).uniform(-2, 2, (400, 7))
-    data = SimpleNamespace(features=targets, targets=targets, bins_of=lambda frames: BINS)
+    data = SimpleNamespace(features=targets, targets=targets, bins_of=lambda frames: BINS, depth_m=np.nan)
     order, parts = np.arange(280), np.arange(280) // 56
     folds = Folds([Fold(order[parts != k], order[parts == k]) for k in range(5)], order, np.arange(400) // 7, order)
     localizers = [Claims(1.0, 1.0)] * 5

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from joblib import parallel_config
 
 from conformodal.core.extras import require_extra
 from conformodal.core.progress import StageProgress
@@ -74,6 +75,7 @@ def train(
             "it; auto: frames for --split interleaved, else stretches.",
         ),
     ] = ModelConfig.calibrate_on,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that learn; the model is the same.")] = 1,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -104,7 +106,7 @@ def train(
     with lock_output(out, "train", apart=[*data, *([] if held_out is None else [held_out])]):
         feature_cache = FeatureCache(cache_folder(cache))
         sequence = open_sequences(data, layout, test=held_out, trust_poses=trust_poses, focal=focal)
-        with progress_bars(out) as report:
+        with progress_bars(out) as report, parallel_config(n_jobs=workers):
             train_on(sequence, config, out, features=feature_cache, report=report)
     print_where(out)
 

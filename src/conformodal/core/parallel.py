@@ -1,4 +1,4 @@
-"""Work in threads (matching, linear algebra and PnP release Python's lock), and memory of this process."""
+"""Work in threads (matching, linear algebra and PnP release Python's lock) and processes, and memory of this one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from functools import cache
 from threading import Event
 from typing import Any, TypeVar
 
-from joblib import cpu_count
+from joblib import Parallel, cpu_count, delayed
 from threadpoolctl import ThreadpoolController
 
 from .progress import Progress
@@ -52,6 +52,14 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: 
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return [future.result() for future in futures]
+
+
+def in_workers(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """Results of `work` in the order of the items, by the workers of :func:`joblib.parallel_config`: processes, or a
+    cluster. Without such a configuration, :func:`in_threads`; results are the same.
+    """
+    workers = Parallel()
+    return in_threads(work, items) if workers.n_jobs == 1 else list(workers(delayed(work)(item) for item in items))
 
 
 def side_by_side(one: Callable[[], Item], other: Callable[[], Result]) -> tuple[Item, Result]:

@@ -6,20 +6,22 @@ Regions are calibrated from its marginals over fine cells; its hypotheses are th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Self
 
 import numpy as np
 
 from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
-from conformodal.core.parallel import in_threads, raise_if_cancelled
+from conformodal.core.parallel import in_threads, in_workers, raise_if_cancelled
+from conformodal.core.progress import StageProgress
 from conformodal.geometry import fix_sign
 
 from . import LocalizationError
-from .candidates import Mixture, fuse, mode_candidates
+from .candidates import Candidates, Mixture, fuse, mode_candidates
 from .evidence import FrameEvidence, PoseMeasurement
 from .observations import Posterior
 from .regions import Support
@@ -27,6 +29,9 @@ from .sources.registry import PoseSource, SourceData, find_source
 
 _IMAGES_AT_A_TIME = 256  # seven times some sixteen hundred cells each
 _CELLS = 800  # per target, at least: estimates are more precise than bins
+# Cells of positions are no wider than this share of the scene's depth, however large the world; but for bins of more
+# cells than this, which bridge the space between places
+_WIDEST, _MOST_OF_BIN = 1 / 400, 256
 # cells beyond the bins at each end, each wider than the one before by this factor: poses may be where no training
 # frame was. They reach 2.4 times as far as the 800 cells
 BEYOND, _WIDER = 300, 1.01
@@ -80,8 +85,10 @@ class Beliefs:
 
     def marginals(self, bins: QuantileBins, cells: QuantileBins, sign_reference: FloatArray) -> list[FloatArray]:
         """Seven arrays (n, cells) of probabilities whose rows sum to one, over the :func:`belief_cells` of the bins."""
-        n, beyond = cells_per_bin(bins), ((0, 0), (BEYOND, BEYOND))
-        blocks = [np.pad(np.repeat(p.astype(np.float64) / n, n, axis=1), beyond) for p in self.proba]
+        beyond, blocks = ((0, 0), (BEYOND, BEYOND)), []
+        for p, coarse, fine in zip(self.proba, bins.edges_, cells.edges_, strict=True):
+            n = np.diff(np.searchsorted(fine, coarse))  # cells of each bin
+            blocks.append(np.pad(np.repeat(p.astype(np.float64) / n, n, axis=1), beyond))
         for i, mixture in enumerate(self.mixtures):
             mass = np.exp(mixture.candidates.log_mass)
             mass /= mass.sum()
@@ -104,6 +111,7 @@ class Localizer:
     sources: tuple[PoseSource, ...]
     bins: QuantileBins  # of the seven targets
     sign_reference: FloatArray  # (4,) quaternion that fixes the signs of quaternions
+    depth_m: float = math.nan  # median depth of the scene; NaN where it is not known
 
     def __post_init__(self) -> None:
         names = [source.name for source in self.sources]
@@ -114,35 +122,23 @@ class Localizer:
     def fit_each(cls, data: SourceData, parts: Sequence[IntArray], names: Sequence[str]) -> list[Self]:
         """A localizer for each part (m,) of the frames, which learns from it alone; without sources that cannot.
 
-        Sources learn in threads. One that uses local features, which takes longest, learns several parts at once, the
-        last part (by default all frames, whose matches the others share) before; others learn part after part:
-        networks share random numbers.
+        Sources learn in threads, those that use local features from several parts at once, in workers if there are any:
+        from the last part, by default all frames, first, since the others share its matches. Others learn from part
+        after part: networks share random numbers.
         """
         kinds = [find_source(name) for name in names]
-
-        def report(stage: str, done: int, total: int) -> None:
-            raise_if_cancelled()
-            if data.progress is not None:
-                data.progress(stage, done, total)
-
-        def fit(job: tuple[type[PoseSource], list[int]]) -> list[PoseSource | None]:
-            kind, numbers = job
-            sources = []
-            for k in numbers:
-                raise_if_cancelled()
-                sources.append(kind.fit(replace(data, progress=report), parts[k]))
-            return sources
-
-        every, local = list(range(len(parts))), [kind for kind in kinds if kind.local]
-        jobs = [(kind, every[-1:]) for kind in local] + [(kind, every) for kind in kinds if not kind.local]
-        jobs += [(kind, [k]) for k in every[:-1] for kind in local]
+        data = replace(data, progress=_reporting(data.progress))
+        every, fit = range(len(parts)), partial(_fit, data, parts)
+        first = [(kind, every[-1:] if kind.local else every) for kind in sorted(kinds, key=lambda kind: not kind.local)]
+        others = [(kind, [k]) for k in every[:-1] for kind in kinds if kind.local]
         fitted: dict[tuple[type[PoseSource], int], PoseSource | None] = {}
-        for (kind, numbers), sources in zip(jobs, in_threads(fit, jobs), strict=True):
+        results = in_threads(fit, first) + in_workers(fit, others)
+        for (kind, numbers), sources in zip([*first, *others], results, strict=True):
             fitted.update({(kind, k): source for k, source in zip(numbers, sources, strict=True)})
         localizers = []
         for k, frames in enumerate(parts):
             learnt = tuple(source for kind in kinds if (source := fitted[kind, k]) is not None)
-            localizers.append(cls(learnt, data.bins_of(frames), data.sign_reference))
+            localizers.append(cls(learnt, data.bins_of(frames), data.sign_reference, data.depth_m))
         return localizers
 
     @property
@@ -158,7 +154,12 @@ class Localizer:
     @cached_property
     def cells(self) -> QuantileBins:
         """Cells of the beliefs' marginals."""
-        return belief_cells(self.bins)
+        return belief_cells(self.bins, self.depth_m)
+
+    @cached_property
+    def _anywhere(self) -> Candidates:
+        """The mode of an even softmax."""
+        return mode_candidates([np.full((1, k), 1 / k) for k in self.bins.sizes], self.bins)[0]
 
     def beliefs(self, evidence: FrameEvidence) -> Beliefs:
         """Beliefs about the poses of n images.
@@ -180,11 +181,12 @@ class Localizer:
 
         ask(np.arange(n), local=True)
         estimates = [[one for answer in measurements.values() for one in answer[i]] for i in range(n)]
-        ask(np.array([i for i in range(n) if not recognised_only(estimates[i])], dtype=np.int64), local=False)
+        others = np.array([i for i in range(n) if not recognised_only(estimates[i])], dtype=np.int64)
+        ask(others, local=False)
         in_order = [measurements[source.name] for source in self.sources if source.name in measurements]
         proba = self._density(densities, n)
-        modes = mode_candidates(proba, self.bins)
-        mixtures = [fuse(each, [answer[i] for answer in in_order]) for i, each in enumerate(modes)]
+        modes = dict(zip(others.tolist(), mode_candidates([p[others] for p in proba], self.bins), strict=True))
+        mixtures = [fuse(modes.get(i, self._anywhere), [answer[i] for answer in in_order]) for i in range(n)]
         return Beliefs(proba, mixtures, estimates)
 
     def _density(self, densities: Sequence[tuple[IntArray, list[RealArray]]], n: int) -> list[RealArray]:
@@ -213,26 +215,51 @@ class Localizer:
             yield rows, self.marginals(beliefs.part(rows))
 
 
+def _fit(
+    data: SourceData, parts: Sequence[IntArray], job: tuple[type[PoseSource], Sequence[int]]
+) -> list[PoseSource | None]:
+    """A kind of sources that learns from parts of the frames, one after another."""
+    kind, numbers = job
+    sources = []
+    for k in numbers:
+        raise_if_cancelled()
+        sources.append(kind.fit(data, parts[k]))
+    return sources
+
+
+def _reporting(progress: StageProgress | None) -> StageProgress:
+    """Progress that ends where other work has failed."""
+
+    def report(stage: str, done: int, total: int) -> None:
+        raise_if_cancelled()
+        if progress is not None:
+            progress(stage, done, total)
+
+    return report
+
+
 def recognised_only(estimates: Sequence[PoseMeasurement]) -> list[PoseMeasurement]:
     """The estimates of an image that are probably inliers."""
     return [one for one in estimates if one.inlier_probability >= RECOGNISED]
 
 
-def belief_cells(bins: QuantileBins) -> QuantileBins:
-    """Cells that divide the bins, and wider and wider cells beyond them; edges of bins are edges of cells."""
-    growth = np.cumsum(_WIDER ** np.arange(1, BEYOND + 1))
-    edges = []
-    for coarse in bins.edges_:
-        number = np.arange((coarse.size - 1) * cells_per_bin(bins) + 1)
-        fine = np.interp(number / cells_per_bin(bins), np.arange(coarse.size), coarse)
-        steps = (fine[-1] - fine[0]) / (fine.size - 1) * growth
+def belief_cells(bins: QuantileBins, depth_m: float = math.nan) -> QuantileBins:
+    """Cells that divide the bins, and wider and wider cells beyond them; edges of bins are edges of cells.
+
+    Those of positions are fine for the scene's median depth, if it is known: else a room has few of a building's cells.
+    """
+    least, growth, edges = max(1, -(-_CELLS // max(bins.sizes))), np.cumsum(_WIDER ** np.arange(1, BEYOND + 1)), []
+    for j, coarse in enumerate(bins.edges_):
+        counts = np.full(coarse.size - 1, least)
+        if j < 3 and math.isfinite(depth_m):
+            needed = np.ceil(np.minimum(np.diff(coarse) / (_WIDEST * depth_m), _MOST_OF_BIN)).astype(np.int64)
+            counts = np.maximum(counts, needed)
+        within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        number = np.append(np.repeat(np.arange(counts.size), counts) + within / np.repeat(counts, counts), counts.size)
+        fine = np.interp(number, np.arange(coarse.size), coarse)
+        steps = (fine[-1] - fine[0]) / (least * counts.size) * growth
         edges.append(np.concatenate((fine[0] - steps[::-1], fine, fine[-1] + steps)))
     return QuantileBins.from_edges(edges)
-
-
-def cells_per_bin(bins: QuantileBins) -> int:
-    """Number of cells per bin."""
-    return max(1, -(-_CELLS // max(bins.sizes)))
 
 
 def _student_cdf(x: FloatArray) -> FloatArray:

@@ -77,7 +77,8 @@ def calibrate_regions(
     level = 0.0 if novelty is None else novelty.level(config.novelty_level)
     recognised = np.concatenate([one.recognised for one in beliefs]) if local else None
     units = None if folds.units is None else folds.units[folds.held_out]
-    rule = SplitConformal(belief_cells(data.bins_of(folds.region_frames)), config.alpha, config.score, config.joint)
+    cells = belief_cells(data.bins_of(folds.region_frames), data.depth_m)
+    rule = SplitConformal(cells, config.alpha, config.score, config.joint)
     scale: npt.ArrayLike = 1.0
     if is_per_unit(rule.score_) and rule.joint == "max":
         # by the targets' spread, which does not depend on calibration frames

@@ -44,7 +44,7 @@ from .config import Method
 from .identity import FrameIdentities
 from .model import PATHS, ExpectedInput, PathRule, PoseModel, SourceComparison, path_rule
 
-FORMAT = "conformodal-model-25"
+FORMAT = "conformodal-model-26"
 _JSON = "model.json"
 _FILES = {  # with the first digits of their digests; the detector of local features may have no network: an empty file
     "weights": "weights-{}.safetensors",
@@ -285,7 +285,8 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path)
         with _naming(f"sources.{number}"):
             state = SourceState(mine, source["settings"], sizes, bins.sizes)
             sources.append(find_source(source["name"]).from_state(state))
-    localizer = Localizer(tuple(sources), bins, arrays["sign_reference"])
+    prior = _prior(record["prior"])
+    localizer = Localizer(tuple(sources), bins, arrays["sign_reference"], prior.depth_m)
     paper = record["configuration"]["method"] == Method.PAPER
     with _naming("novelty"):
         novelty = _novelty(arrays, config.grid)
@@ -298,7 +299,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path)
         localizer=localizer,
         novelty=novelty,
         rules=rules,
-        prior=_prior(record["prior"]),
+        prior=prior,
         camera=PinholeCamera(**record["camera"]),
         split=Split(split["kind"], split["seed"], **{part: arrays[f"split.{part}"] for part in _PARTS}),
         detector=detector,

@@ -55,6 +55,13 @@ class SourceData:
     _extracting: Lock = field(default_factory=Lock)
     _projections: dict[tuple[bytes, int | None], Projection] = field(default_factory=dict)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What other processes need; they report no progress."""
+        return vars(self) | {"_extracting": None, "progress": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state | {"_extracting": Lock()})
+
     def bins_of(self, frames: IntArray) -> QuantileBins:
         """Bins of the targets of some frames."""
         return QuantileBins(self.n_bins, self.margin).fit(self.targets[frames])
