@@ -1,0 +1,130 @@
+"""What a room costs, and how exactly it is localised, alone and beside other rooms in one world.
+
+python benchmarks/growth.py [--seeds 30] [--rooms 1 2 4] [--runs FOLDER]
+
+The first room is redkitchen, the second fr1_desk with fr1_xyz, the others are rendered corridors with textures of their
+own, all brought to one camera and 20 m apart. Each world is a process of its own, on an empty cache; numbers are kept.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch
+
+import numpy as np
+from common import DATA, REDKITCHEN, ROOT, cached_json, parser_with_seeds, write_table
+from stream_row import peak_mb
+
+from conformodal.corridor import write_corridor
+from conformodal.features.extract import FeatureCache
+from conformodal.io import Recording, join_recordings, read_recording
+from conformodal.localizer.candidates import pose_targets
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.store import load_model, save_model
+from conformodal.pipeline.train import train_model
+
+APART_M = 20.0
+ROOMS: tuple[list[str], ...] = ([str(REDKITCHEN)], [str(DATA / "tum" / name) for name in ("fr1_desk", "fr1_xyz")])
+
+
+def room(number: int, runs: Path) -> list[Recording]:
+    """The recordings of a room, beside the rooms before it."""
+    folders = list(ROOMS[number]) if number < len(ROOMS) else [str(runs / f"corridor-{number}")]
+    if number >= len(ROOMS) and not Path(folders[0]).is_dir():
+        write_corridor(folders[0], n_modules=2, n_laps=2, seed=number)
+    recordings = []
+    for folder in folders:
+        recording = read_recording(folder)
+        poses = recording.require_truth()
+        moved = replace(poses, positions_xyz=poses.positions_xyz + np.array([number * APART_M, 0, 0]))
+        recordings.append(replace(recording, poses=moved))
+    return recordings
+
+
+def measured(n_rooms: int, seed: int, runs: Path) -> dict[str, Any]:
+    """Costs of a world, and errors and regions of the first room's test frames."""
+    recordings = [recording for number in range(n_rooms) for recording in room(number, runs)]
+    world, folder = join_recordings(recordings), runs / f"model-{n_rooms}-{seed}"
+    if not folder.is_dir():
+        began = time.process_time()
+        model = train_model(world, ModelConfig(split="interleaved", seed=seed), cache=FeatureCache(None))
+        costs = {"train_cpu_s": time.process_time() - began, "peak_mb": peak_mb()}
+        save_model(model, folder)
+        (folder / "costs.json").write_text(json.dumps(costs), encoding="utf-8")
+    model, costs = load_model(folder), json.loads((folder / "costs.json").read_text(encoding="utf-8"))
+    frames = model.split.test[model.split.test < len(recordings[0])]
+    began = time.process_time()
+    run = VisualOdometry(model).process(world, frames)
+    cpu_ms = 1e3 * (time.process_time() - began) / len(frames)
+    truth = world.require_truth()[run.frames]
+    off = np.linalg.norm(run.trajectories["online"].positions_xyz - truth.positions_xyz, axis=1)
+    held = run.regions.contains(pose_targets(truth, model.sign_reference), joint=True)
+    return costs | {
+        "frames": len(world),
+        "model_mb": sum(file.stat().st_size for file in folder.iterdir()) / 1e6,
+        "frame_ms": cpu_ms,
+        "median_mm": 1e3 * float(np.median(off)),
+        "rmse_mm": 1e3 * float(np.sqrt((off**2).mean())),
+        "length_mm": (1e3 * np.median(run.regions.length[:, :3], axis=0)).tolist(),
+        "coverage": float(held.mean()),
+        "tested": len(frames),
+    }
+
+
+def main() -> None:
+    parser = parser_with_seeds(__doc__, seeds=(30,))
+    parser.add_argument("--rooms", type=int, nargs="+", default=[1, 2, 4])
+    parser.add_argument("--runs", type=Path, default=ROOT / "benchmarks" / "runs" / "growth")
+    parser.add_argument("--row", action="store_true", help="measure one world in this process")
+    options = parser.parse_args()
+    options.runs.mkdir(parents=True, exist_ok=True)
+    if options.row:
+        print(json.dumps(measured(options.rooms[0], options.seeds[0], options.runs)))
+        return
+
+    def row(n_rooms: int, seed: int) -> Any:
+        words = [sys.executable, __file__, "--row", "--rooms", n_rooms, "--seeds", seed, "--runs", options.runs]
+        finished = subprocess.run([str(word) for word in words], stdout=subprocess.PIPE, text=True, check=True)
+        return json.loads(finished.stdout.splitlines()[-1])
+
+    rows, results = [], []
+    for n in options.rooms:
+        each = [cached_json(options.runs / f"{n}-{seed}.json", lambda n=n, s=seed: row(n, s)) for seed in options.seeds]
+        mean = {key: np.mean([one[key] for one in each], axis=0) for key in each[0]}
+        results.append(mean)
+        lengths = ", ".join(f"{value:.1f}" for value in mean["length_mm"])
+        costs = [f"{mean['train_cpu_s']:.0f}", f"{mean['peak_mb']:.0f}", f"{mean['model_mb']:.0f}"]
+        quality = [f"{mean['frame_ms']:.0f}", f"{mean['median_mm']:.1f}", f"{mean['rmse_mm']:.1f}", lengths]
+        rows.append([str(n), f"{mean['frames']:.0f}", *costs, *quality, f"{mean['coverage']:.3f}"])
+        print(rows[-1], flush=True)
+    sizes = np.log([mean["frames"] for mean in results])
+    slopes = {
+        key: np.polyfit(sizes, np.log([mean[key] for mean in results]), 1)[0]
+        for key in ("train_cpu_s", "peak_mb", "model_mb", "frame_ms", "median_mm")
+        if len(results) > 1
+    }
+    grown = "; ".join(f"{key} {slope:.2f}" for key, slope in slopes.items())
+    note = (
+        f"Split interleaved, seeds {', '.join(map(str, options.seeds))}. CPU seconds of training from images on, and "
+        "peak memory. CPU per frame of a run, with reading of images. Errors online, lengths of regions in x, y and z, "
+        f"and coverage are those of the first room, {results[0]['tested']:.0f} frames or so, nominal 0.90. Growth "
+        f"with the number of frames, as exponents: {grown}."
+    )
+    header = ["rooms", "frames", "training, CPU s", "peak, MB", "model, MB", "frame, ms", "median, mm", "RMSE, mm"]
+    header += ["length, mm", "coverage"]
+    command = f"python benchmarks/growth.py --seeds {shlex.join(map(str, options.seeds))}"
+    write_table("growth", "A room in a larger world", command, header, rows, note)
+
+
+if __name__ == "__main__":
+    main()
