@@ -1,4 +1,4 @@
-"""Regions and poses from one image, from the frames so far, at a lag of ten frames, and in hindsight.
+"""Regions and poses from one image, from the frames so far, and in hindsight.
 
 python benchmarks/posterior.py [--seeds 10 11 12 13 14] [--places corridor] [--runs ablation-out]
 
@@ -16,13 +16,10 @@ import numpy as np
 from ablation import Models
 from common import RESULTS, ROOT, cached_json, mean_interval, parser_with_seeds, rmse, write_table
 
-from conformodal.core.arrays import FloatArray, rows_by_label
+from conformodal.core.arrays import FloatArray
 from conformodal.localizer.candidates import pose_targets
-from conformodal.localizer.filter import LAG, Window, filter_posteriors
-from conformodal.localizer.observations import choose_places, same_place
+from conformodal.localizer.observations import same_place
 from conformodal.localizer.regions import PoseRegions
-from conformodal.pipeline.estimates import OdometryRun
-from conformodal.pipeline.model import LAGGED, PoseModel
 
 PLACES = {"corridor": "ours", "redkitchen, blocks": "stretches"}  # with the model, by what calibrates it
 FAR_M = 0.3
@@ -50,26 +47,6 @@ def region_numbers(regions: PoseRegions, targets: FloatArray) -> dict[str, float
     }
 
 
-def lagged(models: Models, model: PoseModel, run: OdometryRun) -> dict[str, float]:
-    """Errors and regions of the frames that as many frames follow as the lag of a stream."""
-    rows, posteriors, positions = [], [], []
-    for at in rows_by_label(models.sequence.recording[run.frames]):
-        observed = run.observations(at)
-        forward = filter_posteriors(observed, model.prior)
-        parts = [slice(k, k + LAG + 1) for k in range(len(at) - LAG)]
-        first = [Window(observed.part(part), forward[part]).first(model.prior) for part in parts]
-        best = choose_places(first, run.timestamps_s[at[: len(first)]], model.prior)
-        rows.append(at[: len(first)])
-        posteriors += first
-        positions.append(best.positions_xyz)
-    frames = np.concatenate(rows)
-    truth = models.sequence.require_truth()[run.frames[frames]]
-    regions = model.path_regions(run.localization.beliefs.part(frames), posteriors, LAGGED)
-    assert regions is not None
-    errors = position_errors(np.concatenate(positions), truth.positions_xyz)
-    return errors | region_numbers(regions, pose_targets(truth, model.sign_reference))
-
-
 def measured(place: str, seed: int, runs: Path) -> dict[str, dict[str, float]]:
     """All numbers of a place and a seed, for its test part."""
     models = Models(place, seed, runs)
@@ -83,7 +60,6 @@ def measured(place: str, seed: int, runs: Path) -> dict[str, dict[str, float]]:
         errors = position_errors(run.trajectories[path].positions_xyz, truth.positions_xyz)
         numbers[path] = errors | region_numbers(regions, targets)
     numbers["smoothed"] = position_errors(run.trajectories["smoothed"].positions_xyz, truth.positions_xyz)
-    numbers["lagged"] = lagged(models, model, run)
     online = run.trajectories["online"]
     wrong = ~same_place(online, truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
     missed = ~run.path_regions["online"].contains(targets, joint=True)
@@ -113,12 +89,11 @@ def main() -> None:
         "(corridor), 11, 13 and 20 to 23 (redkitchen) and 20 (fr1), of fusion on 20 (corridor, fr1) and 20 to 22 "
         "(redkitchen; what it mends was found on 13). Frames calibrate in the corridor, stretches on "
         f"redkitchen. Far: over {FAR_M} m, as a share of the frames. Coverage of the whole pose, alpha = 0.1; what "
-        "calibrates regions is in docs/guarantees.md. Lagged: ten frames later, without the last ten of a recording. "
-        "Places: cuboids of bounded regions, mean and most; length: median over their frames of "
-        "the mean along x, y and z. Unbounded and reliable: share of the frames; elsewhere: share of all frames that "
-        "are reliable, miss the pose and have the chosen pose at another place."
+        "calibrates regions is in docs/guarantees.md. Places: cuboids of bounded regions, mean and most; length: "
+        "median over their frames of the mean along x, y and z. Unbounded and reliable: share of the frames; "
+        "elsewhere: share of all frames that are reliable, miss the pose and have the chosen pose at another place."
     )
-    title = "Regions and poses: one image, the frames so far, a lag, hindsight"
+    title = "Regions and poses: one image, the frames so far, hindsight"
     write_table("posterior", title, shlex.join(["python", *sys.argv]), header, rows, note)
 
 

@@ -73,11 +73,10 @@ def test_cells_of_positions_are_fine_for_the_scene_however_far_its_places_are_ap
             assert (np.diff(coarse) / counts)[np.diff(coarse) < 1].max() <= 2 / 400
         assert np.ptp(edges) == pytest.approx(np.ptp(plain.edges_[j]))
     proba = softmaxes(bins, 3)
-    for rows, p, edges, coarse in zip(
-        beliefs(proba).marginals(bins, fine, SIGN), proba, fine.edges_, bins.edges_, strict=True
-    ):
-        starts = np.searchsorted(edges, coarse)
-        np.testing.assert_allclose(np.add.reduceat(rows, starts, axis=1)[:, :-1], p, rtol=1e-6)
+    shares = beliefs(proba).marginals(bins, fine, SIGN)
+    for rows, p, edges, coarse in zip(shares, proba, fine.edges_, bins.edges_, strict=True):
+        within = np.add.reduceat(rows, np.searchsorted(edges, coarse), axis=1)
+        np.testing.assert_allclose(within[:, :-1], p, rtol=1e-6)
 
 
 def test_rows_add_up_to_one_whatever_is_believed(bins):

@@ -146,4 +146,3 @@ def test_other_processes_get_the_data_and_the_matches_so_far(data_of, monkeypatc
     one, two = other.local_features(np.array([3, 4]))
     np.testing.assert_array_equal(other.matcher(one, [two]), matches)
     np.testing.assert_array_equal(other.features, data.features)
-    assert isinstance(other.detector, type(data.detector))

@@ -7,7 +7,6 @@ from scipy.stats import norm
 
 from conformodal.conformal import QuantileBins
 from conformodal.features.extract import FeatureCache
-from conformodal.localizer.filter import LAG
 from conformodal.localizer.regions import Support
 from conformodal.localizer.sources import registry
 from conformodal.localizer.sources.registry import SourceAnswer, register_source
@@ -107,26 +106,16 @@ class ToldBeliefs:
         return self
 
 
-def test_as_many_frames_of_each_stretch_calibrate_at_a_lag(monkeypatch):
-    lengths = (1000, 100, 40, 14, 6)
-    unit, n = np.repeat(np.arange(5), lengths), sum(lengths)
+def test_frames_that_are_lost_do_not_calibrate_regions_from_posteriors(monkeypatch):
+    unit, n = np.repeat(np.arange(5), (100, 40, 14, 6, 1)), 161
     score = np.arange(n) / n  # tells the frame
-    posterior, windows = SimpleNamespace(lost=False, unseen_s=0.3), []
+    posterior = SimpleNamespace(lost=False, unseen_s=0.3)
     lost = SimpleNamespace(lost=True, unseen_s=9.0)
 
-    class Seen(SimpleNamespace):
-        def part(self, rows):
-            return SimpleNamespace(n=len(self.candidates[rows]))
-
-    def window(seen, forward):
-        windows.append((seen.n, len(forward)))
-        return SimpleNamespace(first=lambda prior: posterior)
-
     stubs = {
-        "Observations": lambda candidates, motions, times, known: Seen(candidates=candidates, timestamps_s=times),
+        "Observations": lambda candidates, *_, known: SimpleNamespace(candidates=candidates),
         "filter_posteriors": lambda seen, prior: [posterior] * len(seen.candidates),
         "hindsight_posteriors": lambda seen, prior, forward: [lost, *forward[1:]],
-        "Window": window,
         "score_beliefs": lambda rule, localizer, beliefs, targets: np.repeat(score[beliefs.rows, None], 7, axis=1),
     }
     for name, stub in stubs.items():
@@ -134,24 +123,14 @@ def test_as_many_frames_of_each_stretch_calibrate_at_a_lag(monkeypatch):
     sequence = SimpleNamespace(recording=unit, timestamps_s=np.arange(n))
     localizer = SimpleNamespace(cells=BINS, supports=lambda its: [SimpleNamespace(out_of_range=False)] * len(its.rows))
     every = np.ones(n, dtype=bool)
-    rules = SimpleNamespace(
-        overall=SimpleNamespace(alpha=0.1, units_=unit, bins=BINS),
-        known=every,
-        recognised=every,
-    )
+    overall = SimpleNamespace(alpha=0.1, units_=unit, bins=BINS)
+    rules = SimpleNamespace(overall=overall, known=every, recognised=every)
     folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), unit, unit)
     its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
-    motions = dict.fromkeys(range(n))
-    paths = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, motions)
+    paths = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, [None] * n)
     assert {path.longest_gap_s for path in paths.values()} == {0.3}
-    rule, lag = paths["lagged"].calibration, LAG
-    assert set(windows) == {(lag + 1, lag + 1)}
-    frames = np.rint(rule.scores_[:, 0] * n).astype(int)
-    assert len(np.unique(frames)) == len(frames)
-    followers = np.cumsum(lengths)[unit] - 1 - np.arange(n)
-    assert (followers[frames] >= lag).all()
-    counts = np.bincount(unit[frames], minlength=5)
-    assert counts.tolist() == [40, 40, 30, 4, 0]  # all that have followers, or 200 / 5
-    np.testing.assert_array_equal(rule.units_, unit[frames])
-    assert float(rule.weight) == pytest.approx((1 / counts[unit[frames]]).sum())
-    assert len(paths["online"].calibration.scores_) == len(paths["hindsight"].calibration.scores_) + 5 == n
+    online, hindsight = (paths[path].calibration for path in ("online", "hindsight"))
+    np.testing.assert_array_equal(np.sort(online.scores_[:, 0]), score)
+    first = np.array([0, 100, 140, 154, 160])  # lost in hindsight
+    np.testing.assert_array_equal(np.sort(hindsight.scores_[:, 0]), np.delete(score, first))
+    assert float(hindsight.weight) == pytest.approx((np.array([100, 40, 14, 6]) - 1) @ (1 / np.array([100, 40, 14, 6])))

@@ -13,7 +13,7 @@ from conformodal.features.settings import TrainingConfig
 from conformodal.io import read_recording
 from conformodal.io.streams.frames import Frame, RecordingStream, SourceError
 from conformodal.localizer.candidates import pose_targets
-from conformodal.localizer.filter import LAG, filter_posteriors
+from conformodal.localizer.filter import filter_posteriors
 from conformodal.localizer.observations import choose_places
 from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.config import ModelConfig
@@ -107,23 +107,12 @@ def test_regions_from_several_frames_hold_new_stretches_at_any_rate(by_stretch):
 
 def test_a_stream_looks_back(by_stretch):
     sequence, model, frames = by_stretch
-    odometry, now, back = VisualOdometry(model), [], []
-    for i in frames.tolist():
-        now.append(odometry.step(sequence.image(i), sequence.timestamps_s[i]))
-        back.append(odometry.lagged())
-    lag = LAG
-    assert back[:lag] == [None] * lag
-    lagged = back[lag:]
-    assert [one.timestamp_s for one in lagged] == [one.timestamp_s for one in now[:-lag]]
-    for k in (0, 7):  # the pose in hindsight, and no more than that is another
-        np.testing.assert_array_equal(lagged[k].pose.positions_xyz[0], now[lag + k].revised.positions_xyz[0])
-        assert lagged[k].region is now[k].region
+    odometry = VisualOdometry(model)
+    now = [odometry.step(sequence.image(i), sequence.timestamps_s[i]) for i in frames.tolist()]
+    assert [len(one.revised) for one in now[:12]] == [*range(1, 12), 11]
+    whole = VisualOdometry(model).process(sequence, frames[:11]).trajectories["hindsight"]
+    np.testing.assert_allclose(now[10].revised.positions_xyz, whole.positions_xyz, atol=1e-9)
     assert pickle.loads(pickle.dumps(now[-1])).timestamp_s == now[-1].timestamp_s
-    targets = pose_targets(sequence.truth[frames[:-lag]], model.sign_reference)
-    held = [e.path_region.contains(t[None], joint=True)[0] for e, t in zip(lagged, targets, strict=True)]
-    assert np.mean(held) > 0.75
-    odometry.reset()
-    assert odometry.lagged() is None
 
 
 def test_after_a_cut_to_another_scene_no_pose_is_reliable(world):

@@ -115,21 +115,3 @@ def test_corners_keep_their_numbers(redkitchen):
     tracker.advance(grey_image(sequence.image(300)))
     tracker.mark()
     assert min(tracker.corners().ids) > last  # another recording's corners are others
-
-
-def test_redkitchen_submaps_know_the_path_to_millimetres(redkitchen):
-    sequence = read_recording(redkitchen)
-    truth = sequence.require_truth()[slice(280, 320)]
-    tracker, corners = CornerTracker(), []
-    for i in range(280, 320):
-        tracker.advance(grey_image(sequence.image(i)))
-        tracker.mark()
-        corners.append(tracker.corners())
-    submaps = build_submaps(corners, sequence.camera)
-    assert submaps[0].span > 20
-    rotations = Rotation.from_quat(truth.orientations_quat_wxyz, scalar_first=True)
-    for submap in submaps:
-        error, length = misfit(submap, truth.positions_xyz, rotations)
-        assert error < submap.sigma
-        assert error * length < 0.012
-        assert 1 < submap.depth * length < 4

@@ -15,7 +15,7 @@ Source: Alspach and Sorenson (1972) for the filter, Kitagawa (1994) for the two-
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -280,14 +280,6 @@ class Window:
         """The posterior of each from all frames up to the last one."""
         return hindsight_posteriors(self.seen, prior, self.forward)
 
-    def first(self, prior: MotionPrior) -> Posterior:
-        """The posterior of the first frame from all up to the last one, as :meth:`hindsight` gives it, but sooner."""
-        posterior = self.forward[0]
-        for t, ahead in _predicted_by_later(self.seen, prior):
-            if t == 0:
-                posterior = _joined(posterior, ahead, prior)
-        return posterior
-
 
 class PoseFilter:
     """Posteriors of a stream: each from the frames so far, and in hindsight those of the last frames."""
@@ -349,25 +341,17 @@ def hindsight_posteriors(
     `forward` is what :func:`filter_posteriors` gave, if it ran already.
     """
     posteriors = list(filter_posteriors(seen, prior) if forward is None else forward)
-    for t, ahead in _predicted_by_later(seen, prior):
-        posteriors[t] = _joined(posteriors[t], ahead, prior)
-    return posteriors
-
-
-def _predicted_by_later(seen: Observations, prior: MotionPrior) -> Iterator[tuple[int, Prediction]]:
-    """What all later frames predict of each frame, from the last but one to the first.
-
-    Each image tells the share that the image before it has not, as on the way forward, so that each counts once.
-    """
+    # Each image tells the share that the image before it has not, as on the way forward, so that each counts once.
     steps_s = np.diff(seen.timestamps_s).tolist()
     last = tempered(seen.candidates[-1], new_share(steps_s[-1]), prior) if steps_s else seen.candidates[-1]
     later = start(last, known=bool(seen.is_known[-1]))  # from this frame on
     for t in range(len(seen.candidates) - 2, -1, -1):
         ahead = predict(later, seen.motions[t + 1], steps_s[t], prior, back=True)
-        yield t, ahead
+        posteriors[t] = _joined(posteriors[t], ahead, prior)
         if t > 0:
             share = new_share(steps_s[t - 1])
             later = weigh(ahead, seen.candidates[t], prior, known=bool(seen.is_known[t]), share=share)
+    return posteriors
 
 
 def _joined(forward: Posterior, ahead: Prediction, prior: MotionPrior) -> Posterior:

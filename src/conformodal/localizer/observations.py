@@ -43,11 +43,6 @@ class Observations:
     submaps: Sequence[Submap] = ()  # of frames numbered 0 to n - 1
     known: BoolArray | None = None  # (n,) whether each image shows a known place; None if all do
 
-    def part(self, rows: slice) -> Observations:
-        """What is known of consecutive frames, without submaps."""
-        known = None if self.known is None else self.known[rows]
-        return Observations(self.candidates[rows], self.motions[rows], self.timestamps_s[rows], known=known)
-
     @property
     def is_known(self) -> BoolArray:
         """(n,) whether each image shows a known place."""

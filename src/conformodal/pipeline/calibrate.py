@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ from conformodal.features.local import QualityRange
 from conformodal.geometry import RelativeMotion
 from conformodal.io import Disturbance, Recording
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.filter import LAG, Window, filter_posteriors, hindsight_posteriors
+from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
 from conformodal.localizer.localizer import Beliefs, Localizer, belief_cells
 from conformodal.localizer.observations import MotionPrior, Observations, Posterior
 from conformodal.localizer.regions import EvidenceType, PlaceNovelty, RegionRules, part_of, pose_scores
@@ -30,11 +29,10 @@ from conformodal.localizer.sources.registry import SourceData
 from conformodal.tracking.motions import frame_features
 
 from .config import ModelConfig, OdometryError
-from .model import HINDSIGHT, LAGGED, ONLINE, PATHS, PathRule, SourceComparison, path_rule
+from .model import HINDSIGHT, ONLINE, PATHS, PathRule, SourceComparison, path_rule
 from .training_data import Folds
 
 _MOST_COMPARED = 120  # each is answered twice
-_LAGGED_FRAMES = 200  # held-out frames that calibrate regions at the lag, about: each takes as many steps as the lag
 _MOST_DISTURBED, _DISTURBED_SEED = 200, 0  # calibration frames, and the seed of kinds and strengths
 
 
@@ -207,8 +205,7 @@ def calibrate_paths(
     the recording's rate, by sources that had not seen it. `motions` are those between held-out frames.
 
     None where single frames calibrate: a stream of these has gaps that no stream of a camera has, and posteriors that
-    rest on more images are sharper. Regions at the lag of a stream are calibrated on some frames of each stretch, drawn
-    at random among those that so many follow.
+    rest on more images are sharper.
 
     The guarantee, for a random frame of a new stretch that is run from its first frame, is approximate: the motion
     prior and the cells know the held-out poses.
@@ -217,12 +214,12 @@ def calibrate_paths(
         return {}
     rules, units = calibrated.rules, folds.units
     scored: dict[str, list[_Scored]] = {path: [] for path in PATHS}
-    start, rng = 0, np.random.default_rng(0)
-    n_streams = sum(len(np.unique(units[fold.held_out])) for fold in folds.folds)
+    start = 0
     for fold, localizer, beliefs in zip(folds.folds, localizers, calibrated.beliefs, strict=True):
         held_out = fold.held_out
-        posteriors: dict[str, dict[int, Posterior]] = {path: {} for path in PATHS}
-        for at in rows_by_label(units[held_out]):
+        posteriors: dict[str, list[Posterior]] = {path: [] for path in PATHS}
+        order = rows_by_label(units[held_out])
+        for at in order:
             frames, rows = held_out[at], at.tolist()
             observations = Observations(
                 [beliefs.mixtures[i].candidates for i in rows],
@@ -231,25 +228,17 @@ def calibrate_paths(
                 known=rules.known[start + at],
             )
             forward = filter_posteriors(observations, prior)
-            posteriors[ONLINE] |= dict(zip(rows, forward, strict=True))
-            posteriors[HINDSIGHT] |= dict(zip(rows, hindsight_posteriors(observations, prior, forward), strict=True))
-            most = math.ceil(_LAGGED_FRAMES / n_streams)
-            for k in rng.permutation(max(len(at) - LAG, 0))[:most].tolist():
-                window = slice(k, k + LAG + 1)
-                posteriors[LAGGED][rows[k]] = Window(observations.part(window), forward[window]).first(prior)
+            posteriors[ONLINE] += forward
+            posteriors[HINDSIGHT] += hindsight_posteriors(observations, prior, forward)
             raise_if_cancelled()
-        rule = path_rule(localizer.cells, rules.overall.alpha)
-        for path, by_row in posteriors.items():
-            if by_row:
-                which = np.array(sorted(by_row))
-                chosen = [by_row[i] for i in which.tolist()]
-                after = beliefs.part(which).after(chosen)
-                lost = np.array([one.lost for one in chosen]) | _out_of_range(localizer, after)
-                scores = score_beliefs(rule, localizer, after, targets[held_out[which]])
-                unseen_s = np.array([one.unseen_s for one in chosen])
-                scored[path].append(_Scored(scores, lost, unseen_s, start + which))
+        rule, rows = path_rule(localizer.cells, rules.overall.alpha), np.concatenate(order)
+        for path, each in posteriors.items():
+            after = beliefs.part(rows).after(each)
+            lost = np.array([one.lost for one in each]) | _out_of_range(localizer, after)
+            scores = score_beliefs(rule, localizer, after, targets[held_out[rows]])
+            scored[path].append(_Scored(scores, lost, np.array([one.unseen_s for one in each]), start + rows))
         start += len(held_out)
-    return {path: _path_rule(rules.overall, parts, units[folds.held_out]) for path, parts in scored.items() if parts}
+    return {path: _path_rule(rules.overall, parts, units[folds.held_out]) for path, parts in scored.items()}
 
 
 def _path_rule(overall: SplitConformal, parts: list[_Scored], units: IntArray) -> PathRule:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from abc import ABC, abstractmethod
-from collections import deque
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -25,7 +24,7 @@ from conformodal.io.decoding import grey_image
 from conformodal.io.streams.frames import RecordingStream, prefetch
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.filter import LAG, PoseFilter, Window
+from conformodal.localizer.filter import PoseFilter, Window
 from conformodal.localizer.observations import MotionPrior, Posterior, choose_places, find_places
 from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.tracking.tracker import FrontEnd, MotionFrontEnd, affine_flow
@@ -34,7 +33,6 @@ from .config import Method, OdometryError
 from .estimates import Estimate, OdometryRun
 from .model import (
     HINDSIGHT,
-    LAGGED,
     METHODS,
     ONLINE,
     RELIABLE,
@@ -199,7 +197,7 @@ class VisualOdometry(Odometry):
     """Poses of one camera, frame by frame (:meth:`step`) or for a whole recording (:meth:`process`).
 
     ``examples/stream.py`` answers a camera or a video frame by frame, ``examples/images.py`` a whole data set.
-    :attr:`Estimate.revised` and :meth:`lagged` go back ten frames of a stream; :meth:`process` uses all.
+    :attr:`Estimate.revised` goes back ten frames of a stream; :meth:`process` uses all.
     """
 
     answer = METHODS[0]
@@ -210,7 +208,6 @@ class VisualOdometry(Odometry):
             raise OdometryError("the model was trained with the paper's method; PaperOdometry runs it")
         self.model = model
         self._filter = PoseFilter(model.prior)
-        self._recent: deque[Estimate] = deque(maxlen=LAG + 1)
         self.reset()
 
     @classmethod
@@ -223,7 +220,6 @@ class VisualOdometry(Odometry):
         self._front_end = MotionFrontEnd(self.model.camera)
         self._watch = InputWatch(self.model.expected_input)
         self._filter.reset()
-        self._recent.clear()
         self._last_s = self._usable_s = None
 
     def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
@@ -240,24 +236,9 @@ class VisualOdometry(Odometry):
         posterior = self._filter.push(
             localization.candidates[0], motion, timestamp_s, known=bool(localization.known[0])
         )
-        estimate = self._estimate(localization, motion, timestamp_s, posterior, ONLINE)
+        estimate = self._estimate(localization, motion, timestamp_s, posterior)
         estimate = replace(estimate, tracks=self._front_end.tracks, corners=self._front_end.corners)
-        self._recent.append(estimate)
         return replace(estimate, revise=partial(_revised, self._filter.window(), self.model.prior))
-
-    def lagged(self) -> Estimate | None:
-        """The estimate of the frame ten before the newest, from all up to the newest; unusable ones do not count.
-
-        None for the first ten frames of a stream; after an unusable one, the same frame as before it. The last ten
-        frames are not reached: ``revised`` has their poses. `reliable` asks for the same probability as in
-        :meth:`step`.
-        """
-        if len(self._recent) <= LAG:
-            return None
-        then, posterior = self._recent[0], self._filter.window().first(self.model.prior)
-        assert then.localization is not None
-        estimate = self._estimate(then.localization, then.relative_motion, then.timestamp_s, posterior, LAGGED)
-        return replace(estimate, tracks=then.tracks, corners=then.corners)
 
     def _estimate(
         self,
@@ -265,9 +246,8 @@ class VisualOdometry(Odometry):
         motion: RelativeMotion | None,
         timestamp_s: float,
         posterior: Posterior,
-        path: str,
     ) -> Estimate:
-        """The estimate of a frame from its posterior; `path` says which frames this rests on."""
+        """The estimate of a frame from the posterior up to it."""
         places = find_places(posterior, self.model.prior)
         best = places[0]
         evidence, known_p = EvidenceType(int(localization.kinds[0])), float(localization.known_p[0])
@@ -279,7 +259,7 @@ class VisualOdometry(Odometry):
         if best.probability < RELIABLE:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
         pose = Trajectory(np.array([timestamp_s]), best.position_xyz[None], best.orientation_quat_wxyz[None])
-        path_region = self.model.path_regions(localization.beliefs, [posterior], path)
+        path_region = self.model.path_regions(localization.beliefs, [posterior], ONLINE)
         problems += self._doubts(localization.regions if path_region is None else path_region, pose)
         if path_region is not None and not self._holds(localization.regions, pose):  # a path may be sure and wrong
             problems.append("the pose lies outside of the image's region")

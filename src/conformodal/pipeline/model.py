@@ -29,9 +29,8 @@ from conformodal.localizer.sources.landmarks import LandmarkSource
 from .config import Method, OdometryError
 from .identity import FrameIdentities
 
-# What posteriors rest on: the frames up to each (online), also as many after it as the lag (lagged), or all frames of
-# its recording (hindsight).
-PATHS = ONLINE, LAGGED, HINDSIGHT = "online", "lagged", "hindsight"
+# What posteriors rest on: the frames up to each (online), or all frames of its recording (hindsight).
+PATHS = ONLINE, HINDSIGHT = "online", "hindsight"
 # Methods that give a trajectory. The first is the answer of a run.
 METHODS = "smoothed", HINDSIGHT, ONLINE
 PAPERS_METHOD = "greedy"

@@ -105,9 +105,7 @@ def train_model(
     if config.method is not Method.PAPER and (local or stretches):
         looked_at = np.union1d(folds.region_frames, folds.held_out)
         motions = sources.look_through(looked_at, local=local, motions=stretches)
-    (*localizers, localizer), known_frames = side_by_side(
-        lambda: Localizer.fit_each(sources, parts, config.sources), lambda: identify(data.sequence)
-    )
+    *localizers, localizer = Localizer.fit_each(sources, parts, config.sources)
     localizers, train = localizers or [localizer], data.split.train
     prior = fit_motion_prior(data.sequence.require_truth()[train], data.sequence.recording[train])
     if config.method is not Method.PAPER:
@@ -134,7 +132,7 @@ def train_model(
         prior=prior,
         camera=data.sequence.camera,
         split=data.split,
-        known_frames=known_frames,
+        known_frames=identify(data.sequence),
         expected_input=ExpectedInput.of(data.sequence),
         configuration=config.record(data.sequence.name, len(data.sequence), "stretches" if stretches else "frames")
         | {"whole_recordings": folds.whole_recordings, "unit": data.sequence.unit},
