@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -109,25 +110,27 @@ class Tables:
         self.methods = {r["method"] for r in records}
         self.systems = [system for system in _SYSTEMS.values() if system[1] in self.methods]
 
-    def lead(self, splits: Sequence[str]) -> Table:
-        """The paper's numbers, the paper's system here and ours, each against regressors on its own features."""
-        header = ["condition", "split", "published: conformal, m", "published: classical, m", "published: ratio"]
-        for _, _, label, whose, _ in self.systems:
-            header.append(f"{label}, m")
+    def leads(self, splits: Sequence[str]) -> dict[str, Table]:
+        """By system, its errors beside those of regressors on its features; the paper's beside the published ones."""
+        tables = {}
+        for _, name, label, _, regressors in self.systems:
+            beside, lines = name == "paper", []
+            header = ["published, m", "published regressor, m", "published ratio"] if beside else []
+            header = ["condition", "split", *header, f"{label}, m"]
             for kind in ("plain", "tuned"):
-                header += [f"{kind} regressor on {whose} features, m", f"{kind} / {label}"]
-        lines = []
-        for split in splits:
-            for row in self.rows:
-                cells = [row.label, split, f"{row.paper_conformal:g}", f"{row.paper_classical:g}"]
-                cells.append(f"{row.paper_classical / row.paper_conformal:.1f}")
-                for _, name, _, _, regressors in self.systems:
-                    cells.append(self._cell(row, split, name, "rmse_m", 4))
-                    for method in regressors:
-                        cells.append(self._cell(row, split, method, "rmse_m", 4))
-                        cells.append(spread(self._ratios(row, split, method, name), 2))
+                header += [f"{kind} regressor, m", f"{kind} / {label}"]
+            for split, row in product(splits, self.rows):
+                cells = [row.label, split]
+                if beside:
+                    ratio = f"{row.paper_classical / row.paper_conformal:.1f}"
+                    cells += [f"{row.paper_conformal:g}", f"{row.paper_classical:g}", ratio]
+                cells.append(self._cell(row, split, name, "rmse_m", 4))
+                for method in regressors:
+                    ratios = self._ratios(row, split, method, name)
+                    cells += [self._cell(row, split, method, "rmse_m", 4), spread(ratios, 2)]
                 lines.append(cells)
-        return Table(header, lines)
+            tables[label] = Table(header, lines)
+        return tables
 
     def errors(self, split: str, key: str, digits: int) -> Table:
         """One error of every method that has records, in every row."""
@@ -184,8 +187,9 @@ def page(
 ) -> str:
     """All tables as Markdown: the comparison with the published numbers first, then all of every split."""
     tables = Tables(rows, records)
-    text = [f"# {title}", *notes, "## Beside the published numbers"]
-    text += ["Position RMSE, and the regressors' over the system's:", tables.lead(splits).markdown()]
+    text = [f"# {title}", *notes]
+    for label, table in tables.leads(splits).items():
+        text += [f"## Position RMSE: {label}", table.markdown()]
     for split in splits:
         named = {
             "Coverage and size of the regions": tables.regions(split),

@@ -28,7 +28,6 @@ from conformodal.pipeline.estimates import Estimate
 from conformodal.pipeline.plain import train_plain
 from conformodal.pipeline.results import lock_output
 from conformodal.pipeline.train import prepare_training_data
-from conformodal.report.page import PAGE
 
 from .answering import (
     Part,
@@ -94,7 +93,6 @@ def demo(
         write_answers(answers, metrics, "conformodal: a corridor of identical rooms", summary, world.plan())
     report_outcome("demo", metrics)
     report_line(alike)
-    report_line(f"open {(out / PAGE).resolve()}")
     print_where(out)
 
 

@@ -27,13 +27,12 @@ def info(model: SavedModel, verbose: Verbose = False, as_json: AsJson = False) -
 
 def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
     """What is printed, by name."""
-    split = model.split
     by_type = guarantees(model)
     trained = read_metrics(folder) if (folder / METRICS).exists() else {}
     return {
         "model": model_digest(folder),
         "configuration": model.settings,
-        "frames": {part: len(split.part(part)) for part in ("train", "calibration", "test")},
+        "frames": {part: len(model.split.part(part)) for part in ("train", "calibration", "test")},
         "camera": asdict(model.camera),
         "bounded_regions": {one.evidence.name.lower(): one.finite for one in by_type},
         "verdict": trained.get("verdict") or [f"coverage: {short_guarantee(model)}"],

@@ -21,8 +21,7 @@ COMMANDS = {
     "demo": "Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and "
     "motion.",
     "train": "Train on a data set with poses, calibrate, and save the model.",
-    "run": "Compute regions and the trajectory of sources with a saved model, frame by frame. Ctrl-C stops it and "
-    "keeps the results.",
+    "run": "Compute regions and the trajectory of sources with a saved model, frame by frame.",
     "evaluate": "Compare results with true poses: errors of every path and frame, and coverage.",
     "info": "Print what a saved model's regions hold, how large they are, and what to do next.",
     "data": "Check or convert a data set.",

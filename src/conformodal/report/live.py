@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,8 @@ class LiveView:
                 save.parent.mkdir(parents=True, exist_ok=True)
                 self._stream.save(str(save))
             if spawn:
+                # Rerun looks for its viewer on the path, where an environment that is not activated lacks it
+                os.environ["PATH"] = os.pathsep.join((os.environ.get("PATH", ""), str(Path(sys.executable).parent)))
                 self._stream.spawn()
         except (OSError, RuntimeError) as exc:
             raise ConformodalError(f"{save if save is not None else 'Rerun'}: cannot be opened: {exc}") from exc
