@@ -26,7 +26,8 @@ from stream_row import peak_mb
 
 from conformodal.corridor import write_corridor
 from conformodal.features.extract import FeatureCache
-from conformodal.io import Recording, join_recordings, read_recording
+from conformodal.io import Recording, read_recording
+from conformodal.io.recording import join_recordings
 from conformodal.localizer.candidates import pose_targets
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry

@@ -16,9 +16,10 @@ from conformodal.core.extras import require_extra
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.features.extract import FeatureCache
-from conformodal.features.local import DETECTORS
+from conformodal.features.local import default_detector
 from conformodal.features.settings import NETWORKS, TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
+from conformodal.localizer.sources.registry import find_source
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
 from conformodal.pipeline.guarantee import describe_guarantee, guarantees, short_guarantee
 from conformodal.pipeline.model import PoseModel
@@ -60,7 +61,7 @@ def train(
     trust_poses: Annotated[bool, _data("--trust-poses", help="Train although poses do not fit images.")] = False,
     method: Annotated[Method, _model(help="paper: the paper's system and values.")] = ModelConfig.method,
     sources: Annotated[str, _model(help="Pose sources, separated by commas.")] = ",".join(ModelConfig.sources),
-    features: Annotated[str, _model(help=f"Local features: {', '.join(DETECTORS)}.")] = ModelConfig.features,
+    features: Annotated[str | None, _model(help="Local features: xfeat (where installed, default), orb.")] = None,
     network: Annotated[str, _model(help=f"Network of the features: {', '.join(NETWORKS)}.")] = ModelConfig.network,
     n_bins: Annotated[int, _model("--bins", min=1, help="Bins per target (K).")] = ModelConfig.n_bins,
     epochs: Annotated[int, _model(min=1, help="Passes over the training part.")] = TrainingConfig.epochs,
@@ -92,6 +93,10 @@ def train(
     settings: dict[str, Any] = {name: value for name, value in context.params.items() if name in names - {"method"}}
     settings |= {"split": split, "test": share, "sources": tuple(name.strip() for name in sources.split(","))}
     settings["training"] = replace(TrainingConfig(), epochs=epochs, seed=seed)
+    local = method is not Method.PAPER and any(find_source(name).local for name in settings["sources"])
+    settings["features"] = features or (default_detector() if local else ModelConfig.features)
+    if local and features is None and settings["features"] == ModelConfig.features:
+        report_line("Local features are ORB's: XFeat is not installed (pip install 'conformodal[train]').")
     if method is Method.PAPER:  # options that were left alone are the paper's then
         given, default = {name for name in settings if was_given(context, name)}, ModelConfig()
         given |= {name for name, value in settings.items() if value != getattr(default, name)}

