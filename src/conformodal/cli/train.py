@@ -21,7 +21,7 @@ from conformodal.features.settings import NETWORKS, TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
 from conformodal.localizer.sources.registry import find_source
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
-from conformodal.pipeline.guarantee import describe_guarantee, guarantees, short_guarantee
+from conformodal.pipeline.guarantee import describe_guarantee, short_guarantee
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import lock_output, write_metrics
@@ -152,20 +152,14 @@ def train_on(
         f"{sequence.name}: {counted(split['train'], 'frame')} for training, {split['calibration']} for calibration, "
         f"{split['test']} held out for testing (split {split['kind']}, seed {split['seed']})"
     )
-    for line in _describe_model(model):
-        report_detail(line)
-    if split["n_test_same_picture"]:
-        report_line(
-            f"{split['n_test_same_picture']} of {counted(split['test'], 'test frame')} show the same picture as a "
-            "training or calibration frame: their errors do not tell what to expect of new images",
-            bold=True,
-        )
+    copies = split["n_test_same_picture"] and (
+        f"{split['n_test_same_picture']} of {counted(split['test'], 'test frame')} show the same picture as a training "
+        "or calibration frame: their errors do not tell what to expect of new images"
+    )
+    for doubt in filter(None, (_doubt_landmarks(model), copies)):
+        report_line(doubt, bold=True)
     report_detail(describe_guarantee(model))
-    for line in [one.describe() for one in guarantees(model)] if quality is None else numbers(quality):
-        report_detail(line)
-    if quality is not None:
-        report_detail(verdict(quality))
-    for line in steps[1:]:
+    for line in [] if quality is None else [*numbers(quality), verdict(quality), *steps[1:]]:
         report_detail(line)
     return model
 
@@ -182,16 +176,12 @@ def _split_record(model: PoseModel) -> dict[str, Any]:
     }
 
 
-def _describe_model(model: PoseModel) -> list[str]:
-    """The landmarks, and whether there is a test for unknown places."""
-    lines, landmarks = [], model.landmarks
-    if landmarks is not None:
-        n_landmarks, n_frames = (int(landmarks.summary[name]) for name in ("n_landmarks", "n_keyframes"))
-        lines.append(f"{counted(n_landmarks, 'landmark')} of {counted(n_frames, 'frame')}")
-        implied, given = landmarks.map.camera.fx, model.camera.fx
-        if abs(implied / given - 1) > _FOCAL_OFF:
-            lines[-1] += f"; the poses imply a focal length of {implied:.0f} px where {given:.0f} px is given: "
-            lines[-1] += "check the camera"
-    elif "landmarks" in model.settings["sources"]:
-        lines.append("no landmarks: too few corners of the training frames could be triangulated; other sources answer")
-    return lines
+def _doubt_landmarks(model: PoseModel) -> str:
+    """Why there are no landmarks, or the camera is doubtful; else nothing."""
+    if model.landmarks is None:
+        asked = "landmarks" in model.settings["sources"]
+        return "no landmarks: too few corners of the training frames could be triangulated" if asked else ""
+    implied, given = model.landmarks.map.camera.fx, model.camera.fx
+    if abs(implied / given - 1) < _FOCAL_OFF:
+        return ""
+    return f"the poses imply a focal length of {implied:.0f} px where {given:.0f} px is given: check the camera"
