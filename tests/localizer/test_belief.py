@@ -3,7 +3,8 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from conformodal.conformal import QuantileBins
+from conformodal.conformal import QuantileBins, SplitConformal
+from conformodal.conformal.checks import BinProbabilities
 from conformodal.geometry import fix_sign
 from conformodal.localizer.candidates import Candidates, fuse
 from conformodal.localizer.evidence import PoseMeasurement
@@ -57,26 +58,22 @@ def test_cells_hold_the_edges_of_the_bins_and_reach_beyond(bins):
     assert belief_cells(many).sizes == [900 + 2 * BEYOND]
 
 
-def test_cells_of_positions_are_fine_for_the_scene_however_far_its_places_are_apart(bins):
-    rng = np.random.default_rng(0)
-    room = rng.uniform(0, 4, (500, 3))
-    targets = np.column_stack((np.concatenate((room, room + 1000)), rng.uniform(-1, 1, (1000, 4))))
-    bins = QuantileBins(10).fit(targets)
-    plain, fine = belief_cells(bins), belief_cells(bins, depth_m=2.0)
-    for j, (coarse, edges) in enumerate(zip(bins.edges_, fine.edges_, strict=True)):
-        assert np.isin(coarse, edges).all()
-        counts = np.diff(np.searchsorted(edges, coarse))
-        if j >= 3:
-            np.testing.assert_array_equal(edges, plain.edges_[j])
-        else:
-            assert set(counts[np.diff(coarse) > 10]) == {256}  # from one room to the other
-            assert (np.diff(coarse) / counts)[np.diff(coarse) < 1].max() <= 2 / 400
-        assert np.ptp(edges) == pytest.approx(np.ptp(plain.edges_[j]))
-    proba = softmaxes(bins, 3)
-    shares = beliefs(proba).marginals(bins, fine, SIGN)
-    for rows, p, edges, coarse in zip(shares, proba, fine.edges_, bins.edges_, strict=True):
-        within = np.add.reduceat(rows, np.searchsorted(edges, coarse), axis=1)
-        np.testing.assert_allclose(within[:, :-1], p, rtol=1e-6)
+def test_rooms_far_away_change_no_region_by_more_than_a_cell():
+    rng, cell_m, ends = np.random.default_rng(0), 2 / 400, []
+    room = np.column_stack((rng.uniform(0, 4, (500, 3)), rng.uniform(-1, 1, (500, 4))))
+    for shifts in ([0], [0, 50, 2000, 3000]):
+        bins = QuantileBins(50).fit(np.concatenate([room + shift * (np.arange(7) < 3) for shift in shifts]))
+        cells, proba = belief_cells(bins, depth_m=2.0), softmaxes(bins, 1)
+        parts = beliefs(proba, mixture([estimate([1.0, 2.0, 3.0])])).marginals(bins, cells, SIGN)
+        shares = beliefs(proba).marginals(bins, cells, SIGN)
+        for p, rows, coarse, fine in zip(proba, shares, bins.edges_, cells.edges_, strict=True):
+            within = np.add.reduceat(rows, np.searchsorted(fine, coarse), axis=1)
+            np.testing.assert_allclose(within[:, :-1], p, rtol=1e-6)
+        widths = np.diff(cells.edges_[0])[BEYOND:-BEYOND]
+        assert np.quantile(widths, 0.75) <= cell_m  # but between rooms
+        regions = SplitConformal(cells, 0.2, "hpd", "max").regions_at(BinProbabilities(parts), np.full(7, 0.7))
+        ends.append(regions.intervals(0)[:3])
+    np.testing.assert_allclose(ends[1], ends[0], atol=cell_m)
 
 
 def test_rows_add_up_to_one_whatever_is_believed(bins):
