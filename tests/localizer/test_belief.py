@@ -70,7 +70,7 @@ def test_rooms_far_away_change_no_region_by_more_than_a_cell():
             within = np.add.reduceat(rows, np.searchsorted(fine, coarse), axis=1)
             np.testing.assert_allclose(within[:, :-1], p, rtol=1e-6)
         widths = np.diff(cells.edges_[0])[BEYOND:-BEYOND]
-        assert np.quantile(widths, 0.75) <= cell_m  # but between rooms
+        assert np.mean(widths <= cell_m) > 0.7  # but between rooms
         regions = SplitConformal(cells, 0.2, "hpd", "max").regions_at(BinProbabilities(parts), np.full(7, 0.7))
         ends.append(regions.intervals(0)[:3])
     np.testing.assert_allclose(ends[1], ends[0], atol=cell_m)

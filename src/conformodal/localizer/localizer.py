@@ -31,7 +31,7 @@ _IMAGES_AT_A_TIME = 256  # seven times some sixteen hundred cells each
 _CELLS = 800  # per target, at least: estimates are more precise than bins
 # Cells of positions are no wider than this share of the scene's depth, however large the world; but for bins of more
 # cells than this, which bridge the space between places
-_WIDEST, _MOST_OF_BIN = 1 / 400, 256
+_WIDEST, _MOST_OF_BIN = 1 / 400, 128
 # cells beyond the bins at each end, each wider than the one before by this factor: poses may be where no training
 # frame was. They reach 2.4 times as far as the 800 cells
 BEYOND, _WIDER = 300, 1.01
