@@ -84,9 +84,9 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
             notes += [f"{name}: {note}" for note in _doubts(column, plain[name], written)]
             continue
         values = _numbers(file, column, decimal, written.thousands)
-        if values is None and (reading := _dates(column, separator, str(name) in written.day_first)):
-            values = reading.dates
-            day_first += [str(name)] * reading.day_first
+        if values is None:
+            values = _dates(column, separator, str(name) in written.day_first)
+            day_first += [] if values is None or not values.attrs["day_first"] else [str(name)]
         columns[name] = values = column.astype("str") if values is None else values
         if values.dtype.kind == "M":
             at = (values.dt.day != values.dt.month).where(values.notna(), False).idxmax()
@@ -252,16 +252,8 @@ def _numbers(file: Path, column: pd.Series, decimal: str, thousands: str | None)
     return numbers.astype(float).replace([np.inf, -np.inf], np.nan).reindex(column.index)
 
 
-@dataclass(frozen=True)
-class _DateReading:
-    """Dates of a column, and whether their days come before their months."""
-
-    dates: pd.Series
-    day_first: bool
-
-
-def _dates(column: pd.Series, separator: str, prefers_day_first: bool) -> _DateReading | None:
-    """Dates, in UTC where they have a time zone; None where they are none, or nobody knows which part is the month."""
+def _dates(column: pd.Series, separator: str, prefers_day_first: bool) -> pd.Series | None:
+    """Dates, in UTC where they have a time zone; None where they are none, or the month is not known."""
     given = column.dropna().str.replace(_COMPACT, r"\1-\2-\3 \4:\5:\6", regex=True)
     parts = given.str.extract(_DATE)
     if given.empty or parts[0].notna().mean() < _LEAST_SHARE:
@@ -280,7 +272,8 @@ def _dates(column: pd.Series, separator: str, prefers_day_first: bool) -> _DateR
         dates = pd.to_datetime(given.mask(year_first), dayfirst=day_first, **how)
         dates = dates.fillna(pd.to_datetime(given.where(year_first), **how))
     dates = dates.dt.tz_localize(None).reindex(column.index)
-    return _DateReading(dates, day_first) if dates.notna().sum() >= _LEAST_SHARE * len(given) else None
+    dates.attrs["day_first"] = day_first
+    return dates if dates.notna().sum() >= _LEAST_SHARE * len(given) else None
 
 
 def _doubts(column: pd.Series, numbers: FloatArray, written: CsvFormat) -> list[str]:

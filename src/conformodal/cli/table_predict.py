@@ -50,7 +50,7 @@ def predict(
         report_line(f"copied: {listed(copied)}")
     if others:
         report_line(f"note: not read: {listed(others)}, which the model does not know"[:_LONGEST])
-    told, done, n_unbounded = list[str](), 0, 0
+    told, done = list[str](), 0
     with progress_bars() as progress, warning_lines(UserWarning, told.append), _writer(out) as write:
         for table in chunks([*copied, *needed]):
             with _naming(file):
@@ -60,13 +60,11 @@ def predict(
             regions = regions.add_column(0, "row", [np.arange(done, done + len(regions))])
             write(regions)
             done += len(regions)
-            n_unbounded += _unbounded(regions)
             progress("rows", done, n_rows)
     if told:
         again = f" (and {counted(len(told) - 1, 'warning')} of other rows)" if len(told) > 1 else ""
         report_line(f"note: {told[0]}{again}")
-    report_line(f"{counted(done, 'row')}, {n_unbounded / max(done, 1):.1%} with an unbounded region")
-    report_line(f"regions: {out.resolve()}")
+    report_line(f"regions of {counted(done, 'row')}: {out.resolve()}")
 
 
 @contextmanager
@@ -76,12 +74,6 @@ def _naming(file: Path) -> Iterator[None]:
         yield
     except ConformodalError as exc:
         raise TableError(f"{file}: {exc}") from None
-
-
-def _unbounded(regions: Any) -> int:
-    """Rows of which a set has an infinite end."""
-    ends = [regions[name].to_numpy() for name in regions.column_names if name.endswith(("_low", "_high"))]
-    return int(np.isinf(np.column_stack(ends)).any(axis=1).sum())
 
 
 def _open(file: Path, reg: ConformalRegressor, written: CsvFormat) -> tuple[list[str], int, Any]:

@@ -166,7 +166,7 @@ def diagnose(
     groups: npt.ArrayLike | None = None,
     level: float = 0.99,
 ) -> Diagnosis:
-    """Check a calibration on test samples that it has not seen.
+    """Check a calibration on test samples that it has not seen; for an example see ``docs/tutorial.md``.
 
     Parameters
     ----------
@@ -179,17 +179,6 @@ def diagnose(
         then those of its groups.
     level
         Probability with which all bands hold at once, by Bonferroni's inequality.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from conformodal.conformal import QuantileBins, SplitConformal, diagnose
-    >>> y = np.random.default_rng(0).normal(size=2000)
-    >>> bins = QuantileBins(20).fit(y[:1000])
-    >>> proba = np.full((500, 20), 1 / 20)  # of a classifier that has learnt nothing
-    >>> calibrator = SplitConformal(bins, alpha=0.1, score="density").calibrate(proba, y[1000:1500])
-    >>> diagnose(calibrator, proba, y[1500:]).columns[0].coverage.inside
-    True
     """
     values = as_targets(y, n_targets=calibrator.bins.n_targets)
     if isinstance(calibrator, SplitConformal):

@@ -272,8 +272,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def predict_density(self, X: Any) -> PredictiveDensity:
         """Distributions of new samples: density, quantiles, mode, samples, and the probability of each interval."""
-        proba = self.predict_bins(X)
-        return PredictiveDensity(self.bins_, proba)
+        return PredictiveDensity(self.bins_, self.predict_bins(X))
 
     def predict(
         self, X: Any, region: bool = False, alpha: Alpha | Alphas | None = None, groups: npt.ArrayLike | None = None
@@ -337,9 +336,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         Takes samples neither learnt from nor calibrated on; the other parameters are those of
         :func:`~conformodal.conformal.diagnose`.
         """
-        proba = self.predict_bins(X)
-        values = self._table(X, y)[1]
-        return diagnose(self._calibrated(), proba, values, groups, level)
+        return diagnose(self._calibrated(), self.predict_bins(X), self._table(X, y)[1], groups, level)
 
     def save(self, path: str | Path) -> None:
         """Write the regressor into a file, with the extra ``save``: skops, which needs no pickle.

@@ -155,8 +155,3 @@ def resolve_score(score: str | Score) -> Score:
     if isinstance(score, type) or not callable(getattr(score, "of_bins", None)):
         raise ConformodalError(f"score must be a name or an object with of_bins(proba, widths), got {brief(score)}")
     return score
-
-
-def is_per_unit(score: Score) -> bool:
-    """Whether scores have a unit, one over that of the target."""
-    return bool(getattr(score, "per_unit", False))

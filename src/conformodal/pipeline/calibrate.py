@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.conformal import SplitConformal
-from conformodal.conformal.scores import is_per_unit
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, Rows, evenly_spread, rows_by_label
 from conformodal.core.parallel import in_threads, raise_if_cancelled
 from conformodal.core.progress import StageProgress, stage_of
@@ -78,7 +77,7 @@ def calibrate_regions(
     cells = belief_cells(data.bins_of(folds.region_frames), data.depth_m)
     rule = SplitConformal(cells, config.alpha, config.score, config.joint)
     scale: npt.ArrayLike = 1.0
-    if is_per_unit(rule.score_) and rule.joint == "max":
+    if getattr(rule.score_, "per_unit", False) and rule.joint == "max":
         # by the targets' spread, which does not depend on calibration frames
         scale = 1 / np.maximum(data.targets[folds.folds[0].train].std(axis=0), 1e-9)
     rule.set_scale(scale)
