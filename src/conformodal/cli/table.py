@@ -118,10 +118,8 @@ def fit(
     units = None if unit is None else frame[unit].loc[X.index].astype(str)
     test, train = _split_rows(X, units, split, np.random.default_rng(seed))
     joint: Any = "max" if len(target) > 1 else "none"
-    held_out: Any = "random" if split is Split.RANDOM else "last"
-    reg = ConformalRegressor(
-        alpha=alpha, joint=joint, random_state=seed, calibration=held_out, y_min=y_min, y_max=y_max
-    )
+    reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, y_min=y_min, y_max=y_max)
+    reg.calibration = "random" if split is Split.RANDOM else "last"
     train_groups, test_groups = (X[group].iloc[rows] if group else None for rows in (train, test))
     with warning_lines(UserWarning, lambda text: report_line(f"note: {text}")):
         reg.fit(X.iloc[train], y.iloc[train], groups=train_groups, units=None if units is None else units.iloc[train])
