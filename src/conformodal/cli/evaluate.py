@@ -112,8 +112,7 @@ def evaluate(
     )
     for reason in reasons:
         report_line(reason, bold=True)
-    aligned_by = "" if alignment is Alignment.NONE else f", aligned by {alignment}"
-    print_errors(errors, f"against {truth.name}{aligned_by}", unit)
+    print_errors(errors, f"against {truth.name}" + ("" if alignment == "none" else f", aligned by {alignment}"), unit)
     report_line(describe_coverage(coverage))
     print_where(folder)
     print_json(evaluation)
