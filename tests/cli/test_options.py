@@ -15,6 +15,7 @@ COMMANDS = {
     "train": "train data --out out",
     "run": "run model source.mcap --out out",
     "demo": "demo --out out",
+    "convert": "data convert data --out out",
 }
 # command, options, and what the message names
 REFUSED = [
@@ -42,6 +43,7 @@ REFUSED = [
     ("run", "--save=a.mcap --save=b.rrd", "given twice"),
     ("run", "--view --view", "given twice"),
     ("train", "--splitt=blocks", "--split"),
+    ("convert", "--to=kitti", "must be tum"),
     ("run", "--save=v.rrd --save-images", "--save-images"),
 ]
 

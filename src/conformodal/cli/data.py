@@ -108,6 +108,7 @@ def convert(
     source: Annotated[str, typer.Argument(help="A data set's folder, a video, or a ROS recording.")],
     out: Annotated[Path, typer.Option(help="Folder to write, new or empty.")],
     layout: DataLayout = Layout.AUTO,
+    to: Annotated[str, typer.Option(help="Layout to write: tum.")] = "tum",
     poses: Annotated[str | None, typer.Option(help="TUM file, or a topic of a ROS recording; interpolated.")] = None,
     camera: Camera = None,
     max_gap: MaxGap = MAX_GAP_S,
@@ -115,6 +116,8 @@ def convert(
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
 ) -> None:
     """Convert a data set, a video or a ROS recording to a data set in TUM's layout, poses included."""
+    if to != "tum":
+        raise OptionError(f"--to must be tum, the only layout that is written, got {to!r}")
     stream = open_source(source, layout, topic=topic)
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
