@@ -11,6 +11,7 @@ import torch
 from torch import nn
 
 from conformodal.core.arrays import Float32Array, FloatArray, RealArray
+from conformodal.core.parallel import raise_if_cancelled
 from conformodal.core.progress import Progress
 
 from .head import Projection, SoftmaxHead, fit_projection
@@ -139,6 +140,7 @@ def _train(
     optimizer = torch.optim.AdamW(head.parameters(), lr=rate, weight_decay=config.weight_decay, fused=True)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, max_lr=rate, total_steps=n_steps, pct_start=rise)
     for epoch in range(config.epochs):
+        raise_if_cancelled()
         torch.empty((), dtype=torch.int64).random_()  # a DataLoader drew it once: seeds still give the same heads
         order = np.random.default_rng((config.seed, epoch)).permutation(len(x))
         for rows in torch.split(torch.from_numpy(order), size):

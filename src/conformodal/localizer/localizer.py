@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Self
 
@@ -17,7 +17,6 @@ import numpy as np
 from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 from conformodal.core.parallel import in_threads, in_workers, raise_if_cancelled
-from conformodal.core.progress import StageProgress
 from conformodal.geometry import fix_sign
 
 from . import LocalizationError
@@ -127,7 +126,6 @@ class Localizer:
         after part: networks share random numbers.
         """
         kinds = [find_source(name) for name in names]
-        data = replace(data, progress=_reporting(data.progress))
         every, fit = range(len(parts)), partial(_fit, data, parts)
         first = [(kind, every[-1:] if kind.local else every) for kind in sorted(kinds, key=lambda kind: not kind.local)]
         others = [(kind, [k]) for k in every[:-1] for kind in kinds if kind.local]
@@ -225,17 +223,6 @@ def _fit(
         raise_if_cancelled()
         sources.append(kind.fit(data, parts[k]))
     return sources
-
-
-def _reporting(progress: StageProgress | None) -> StageProgress:
-    """Progress that ends where other work has failed."""
-
-    def report(stage: str, done: int, total: int) -> None:
-        raise_if_cancelled()
-        if progress is not None:
-            progress(stage, done, total)
-
-    return report
 
 
 def recognised_only(estimates: Sequence[PoseMeasurement]) -> list[PoseMeasurement]:
