@@ -35,7 +35,7 @@ test-oldest:
 	$(PYTHON) -m venv $(OLDEST)
 	$(OLDEST)/bin/python scripts/oldest.py > $(OLDEST)/oldest.txt
 	$(OLDEST)/bin/python -m pip install --quiet --upgrade "pip>=25.1"
-	$(OLDEST)/bin/python -m pip install --quiet --constraint $(OLDEST)/oldest.txt --editable '.[train,arrow,save,xfeat,hub,networks,ray,ros,colmap]' --group dev --retries 1 --extra-index-url $(TORCH_INDEX)
+	$(OLDEST)/bin/python -m pip install --quiet --constraint $(OLDEST)/oldest.txt --editable '.[train,arrow,save,hub,networks,ray,ros,colmap]' --group dev --retries 1 --extra-index-url $(TORCH_INDEX)
 	$(OLDEST)/bin/python -m pytest -n 2 --dist loadfile -m "not slow or trained"
 
 lint: $(DEV)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 import subprocess
 import sys
 import time
@@ -56,7 +55,7 @@ def measured(n_rooms: int, seed: int, runs: Path) -> dict[str, Any]:
     """Costs of a world, and errors and regions of the first room's test frames."""
     recordings = [recording for number in range(n_rooms) for recording in room(number, runs)]
     world, folder = join_recordings(recordings), runs / f"model-{n_rooms}-{seed}"
-    if not folder.is_dir():
+    if not (folder / "costs.json").is_file():
         began = time.process_time()
         model = train_model(world, ModelConfig(split="interleaved", seed=seed), cache=FeatureCache(None))
         costs = {"train_cpu_s": time.process_time() - began, "peak_mb": peak_mb()}
@@ -85,7 +84,7 @@ def measured(n_rooms: int, seed: int, runs: Path) -> dict[str, Any]:
 def main() -> None:
     parser = parser_with_seeds(__doc__, seeds=(30,))
     parser.add_argument("--rooms", type=int, nargs="+", default=[1, 2, 4])
-    parser.add_argument("--runs", type=Path, default=ROOT / "benchmarks" / "runs" / "growth")
+    parser.add_argument("--runs", type=Path, default=ROOT / "growth-out")
     parser.add_argument("--row", action="store_true", help="measure one world in this process")
     options = parser.parse_args()
     options.runs.mkdir(parents=True, exist_ok=True)
@@ -119,11 +118,12 @@ def main() -> None:
         f"Split interleaved, seeds {', '.join(map(str, options.seeds))}. CPU seconds of training from images on, and "
         "peak memory. CPU per frame of a run, with reading of images. Errors online, lengths of regions in x, y and z, "
         f"and coverage are those of the first room, {results[0]['tested']:.0f} frames or so, nominal 0.90. Growth "
-        f"with the number of frames, as exponents: {grown}."
+        f"with the number of frames, as exponents: {grown or 'not measured'}."
     )
     header = ["rooms", "frames", "training, CPU s", "peak, MB", "model, MB", "frame, ms", "median, mm", "RMSE, mm"]
     header += ["length, mm", "coverage"]
-    command = f"python benchmarks/growth.py --seeds {shlex.join(map(str, options.seeds))}"
+    seeds, rooms = (" ".join(map(str, numbers)) for numbers in (options.seeds, options.rooms))
+    command = f"python benchmarks/growth.py --seeds {seeds} --rooms {rooms}"
     write_table("growth", "A room in a larger world", command, header, rows, note)
 
 

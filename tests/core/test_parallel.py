@@ -6,13 +6,12 @@ import joblib
 import pytest
 from threadpoolctl import threadpool_info
 
-from conformodal.core import parallel as process
-from conformodal.core.parallel import in_threads, in_workers, side_by_side
+from conformodal.core.parallel import in_threads, in_workers
 
 
 @pytest.fixture
 def threads(monkeypatch):
-    return lambda n: monkeypatch.setattr(process, "_limit", n)
+    return lambda n: monkeypatch.setenv("OMP_NUM_THREADS", str(n))
 
 
 @pytest.mark.parametrize("n", [1, 3])
@@ -48,7 +47,7 @@ def test_an_error_ends_what_other_threads_do(threads, failing):
     jobs = [lambda: in_threads(work, range(2000))] * 2
     jobs[failing] = fail
     with pytest.raises(ZeroDivisionError):
-        side_by_side(*jobs)
+        in_threads(lambda job: job(), jobs)
     assert len(done) < 1000
     assert in_threads(str, range(3)) == ["0", "1", "2"]
 

@@ -36,7 +36,7 @@ def test_a_video_becomes_a_data_set(tmp_path):
     poses = Trajectory(0.1 * np.arange(8), np.arange(24.0).reshape(8, 3), np.tile([1.0, 0, 0, 0], (8, 1)))
     write_tum(tmp_path / "poses.tum", poses)
     arguments = ["data", "convert", tmp_path / "v.avi", "--out", tmp_path / "set"]
-    assert "has no calibration" in refusal(*arguments)
+    assert "no camera is known" in refusal(*arguments)
     run_ok(*arguments, "--poses", tmp_path / "poses.tum", "--camera", tmp_path)
     found = read_recording(tmp_path / "set")
     assert len(found) == 8

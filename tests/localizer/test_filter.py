@@ -205,7 +205,7 @@ def test_a_stream_with_a_long_lag_ends_with_the_posteriors_of_the_whole_recordin
             same(pose_filter.push(c, m, float(s)), forward[k])
         window = short.window()
         assert window.seen.timestamps_s.tolist() == t[max(0, k - 5) : k + 1].tolist()
-        same(window.hindsight(PRIOR)[-1], forward[k])
-    whole = hindsight_posteriors(seen, PRIOR)
-    for found, expected in zip(stream.window().hindsight(PRIOR), whole, strict=True):
+        same(hindsight_posteriors(window.seen, PRIOR, window.forward)[-1], forward[k])
+    whole, window = hindsight_posteriors(seen, PRIOR), stream.window()
+    for found, expected in zip(hindsight_posteriors(window.seen, PRIOR, window.forward), whole, strict=True):
         same(found, expected)

@@ -272,7 +272,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def predict_density(self, X: Any) -> PredictiveDensity:
         """Distributions of new samples: density, quantiles, mode, samples, and the probability of each interval."""
-        return PredictiveDensity(self.bins_, self.predict_bins(X))
+        proba = self.predict_bins(X)  # refuses before fit
+        return PredictiveDensity(self.bins_, proba)
 
     def predict(
         self, X: Any, region: bool = False, alpha: Alpha | Alphas | None = None, groups: npt.ArrayLike | None = None

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, suppress
 from contextvars import ContextVar, copy_context
 from functools import cache
 from threading import Event
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from joblib import Parallel, cpu_count, delayed
 from threadpoolctl import ThreadpoolController
@@ -20,7 +20,6 @@ from .progress import Progress
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_limit: int | None = None
 # set when a call of in_threads that the thread works for has failed, for those around the innermost one too
 _failed: ContextVar[tuple[Event, ...]] = ContextVar("failed", default=())
 
@@ -54,19 +53,23 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: 
     return [future.result() for future in futures]
 
 
-def in_workers(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+def in_workers(work: Callable[[Item], Result], items: Sequence[Item], progress: Progress | None = None) -> list[Result]:
     """Results of `work` in the order of the items, by the workers of :func:`joblib.parallel_config`: processes, or a
     cluster. Without such a configuration, :func:`in_threads`; results are the same.
     """
-    workers = Parallel()
-    return in_threads(work, items) if workers.n_jobs == 1 else list(workers(delayed(work)(item) for item in items))
+    workers, results = Parallel(return_as="generator"), list[Result]()
+    if workers.n_jobs == 1:
+        return in_threads(work, items, progress)
+    for result in workers(delayed(_alone)(work, item) for item in items):
+        results.append(result)
+        if progress is not None:
+            progress(len(results), len(items))
+    return results
 
 
-def side_by_side(one: Callable[[], Item], other: Callable[[], Result]) -> tuple[Item, Result]:
-    """Results of two pieces of work that run at the same time, see :func:`in_threads`."""
-    jobs: list[Callable[[], Any]] = [one, other]
-    first, second = in_threads(lambda job: job(), jobs)
-    return first, second
+def _alone(work: Callable[[Item], Result], item: Item) -> Result:
+    with one_blas_thread():
+        return work(item)
 
 
 def raise_if_cancelled() -> None:
@@ -86,16 +89,10 @@ def _threads() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def set_thread_limit(threads: int) -> None:
-    """Pools made from now on in this process have at most so many threads."""
-    global _limit  # noqa: PLW0603 - a property of the process
-    _limit = threads
-
-
 def thread_limit() -> int:
-    """The limit that was set, or ``$OMP_NUM_THREADS``, or the cores that this process may use."""
+    """``$OMP_NUM_THREADS``, or the cores that this process may use."""
     stated = os.environ.get("OMP_NUM_THREADS", "")
-    return _limit or (int(stated) if stated.isdigit() else 0) or cpu_count()
+    return (int(stated) if stated.isdigit() else 0) or cpu_count()
 
 
 def release_freed_memory() -> None:

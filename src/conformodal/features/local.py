@@ -83,9 +83,6 @@ class Detector(ABC):
     def __init__(self, content: bytes = b"") -> None:
         self.content = content
 
-    def __reduce__(self) -> tuple[type[Self], tuple[bytes]]:
-        return type(self), (self.content,)  # sessions stay in their process
-
     @abstractmethod
     def __call__(self, grey: UInt8Array) -> Corners:
         """Detect and describe the corners of a grey image (height, width), the strongest first."""
@@ -130,6 +127,9 @@ class XFeatDetector(Detector):
         sound &= self._session.get_inputs()[0].type == "tensor(uint8)"
         if not sound or shapes[1:] != [[_XFEAT_CHANNELS, *cells], [_CELL**2 + 1, *cells], cells]:
             raise VisionError(f"the network of local features must be XFeat's, got one of shapes {shapes}")
+
+    def __reduce__(self) -> tuple[type[Self], tuple[bytes]]:
+        return type(self), (self.content,)  # a session stays in its process
 
     def __call__(self, grey: UInt8Array) -> Corners:
         """Detect and describe corners."""

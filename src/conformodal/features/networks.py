@@ -8,6 +8,7 @@ downloaded. Weights are read as tensors, and no code of a model is run.
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import asdict
 from functools import lru_cache
 from importlib import import_module, metadata
@@ -22,7 +23,6 @@ from torch import nn
 
 from conformodal.core.arrays import Float32Array, UInt8Array
 from conformodal.core.extras import require_extra
-from conformodal.core.parallel import set_thread_limit
 
 from .backbone import BackboneConfig
 from .settings import HUB_PREFIX, NETWORKS, VisionError, check_network
@@ -53,7 +53,7 @@ def default_block(name: str) -> int:
 
 def limit_threads(threads: int) -> None:
     """Limit torch, ONNX Runtime, OpenCV and linear algebra to so many threads each, for the rest of this process."""
-    set_thread_limit(threads)
+    os.environ["OMP_NUM_THREADS"] = str(threads)  # which our own pools keep to
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
     threadpool_limits(threads)

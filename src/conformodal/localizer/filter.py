@@ -269,16 +269,11 @@ class _Step(NamedTuple):
     posterior: Posterior
 
 
-@dataclass(frozen=True, eq=False)
-class Window:
+class Window(NamedTuple):
     """The last frames of a stream."""
 
     seen: Observations  # what is known of each
     forward: Sequence[Posterior]  # the posterior of each from the frames up to it
-
-    def hindsight(self, prior: MotionPrior) -> list[Posterior]:
-        """The posterior of each from all frames up to the last one."""
-        return hindsight_posteriors(self.seen, prior, self.forward)
 
 
 class PoseFilter:

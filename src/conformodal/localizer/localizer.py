@@ -17,6 +17,7 @@ import numpy as np
 from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 from conformodal.core.parallel import in_threads, in_workers, raise_if_cancelled
+from conformodal.core.progress import stage_of
 from conformodal.geometry import fix_sign
 
 from . import LocalizationError
@@ -26,11 +27,11 @@ from .observations import Posterior
 from .regions import Support
 from .sources.registry import PoseSource, SourceData, find_source
 
-_IMAGES_AT_A_TIME = 256  # seven times some sixteen hundred cells each
+_IMAGES_AT_A_TIME = 128  # seven times some thousand cells each
 _CELLS = 800  # per target, at least: estimates are more precise than bins
-# Cells of positions are no wider than this share of the scene's depth, however large the world; but for bins of more
-# cells than this, which bridge the space between places
-_WIDEST, _MOST_OF_BIN = 1 / 400, 128
+# Cells of positions are no wider than this share of the scene's depth, however large the world. But bins may bridge the
+# space between rooms: they have so many such cells at each end, where frames may be, and some wider ones between
+_WIDEST, _AT_EACH_END, _BETWEEN = 1 / 400, 128, 16
 # cells beyond the bins at each end, each wider than the one before by this factor: poses may be where no training
 # frame was. They reach 2.4 times as far as the 800 cells
 BEYOND, _WIDER = 300, 1.01
@@ -130,7 +131,8 @@ class Localizer:
         first = [(kind, every[-1:] if kind.local else every) for kind in sorted(kinds, key=lambda kind: not kind.local)]
         others = [(kind, [k]) for k in every[:-1] for kind in kinds if kind.local]
         fitted: dict[tuple[type[PoseSource], int], PoseSource | None] = {}
-        results = in_threads(fit, first) + in_workers(fit, others)
+        results = in_threads(fit, first)
+        results += in_workers(fit, others, stage_of(data.progress, "folds"))
         for (kind, numbers), sources in zip([*first, *others], results, strict=True):
             fitted.update({(kind, k): source for k, source in zip(numbers, sources, strict=True)})
         localizers = []
@@ -179,11 +181,10 @@ class Localizer:
 
         ask(np.arange(n), local=True)
         estimates = [[one for answer in measurements.values() for one in answer[i]] for i in range(n)]
-        others = np.array([i for i in range(n) if not recognised_only(estimates[i])], dtype=np.int64)
-        ask(others, local=False)
+        ask(np.array([i for i in range(n) if not recognised_only(estimates[i])], dtype=np.int64), local=False)
         in_order = [measurements[source.name] for source in self.sources if source.name in measurements]
-        proba = self._density(densities, n)
-        modes = dict(zip(others.tolist(), mode_candidates([p[others] for p in proba], self.bins), strict=True))
+        proba, told = self._density(densities, n), sorted({i for rows, _ in densities for i in rows.tolist()})
+        modes = dict(zip(told, mode_candidates([p[told] for p in proba], self.bins), strict=True))
         mixtures = [fuse(modes.get(i, self._anywhere), [answer[i] for answer in in_order]) for i in range(n)]
         return Beliefs(proba, mixtures, estimates)
 
@@ -237,16 +238,23 @@ def belief_cells(bins: QuantileBins, depth_m: float = math.nan) -> QuantileBins:
     """
     least, growth, edges = max(1, -(-_CELLS // max(bins.sizes))), np.cumsum(_WIDER ** np.arange(1, BEYOND + 1)), []
     for j, coarse in enumerate(bins.edges_):
-        counts = np.full(coarse.size - 1, least)
-        if j < 3 and math.isfinite(depth_m):
-            needed = np.ceil(np.minimum(np.diff(coarse) / (_WIDEST * depth_m), _MOST_OF_BIN)).astype(np.int64)
-            counts = np.maximum(counts, needed)
-        within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-        number = np.append(np.repeat(np.arange(counts.size), counts) + within / np.repeat(counts, counts), counts.size)
-        fine = np.interp(number, np.arange(coarse.size), coarse)
-        steps = (fine[-1] - fine[0]) / (least * counts.size) * growth
+        widest = _WIDEST * depth_m if j < 3 and math.isfinite(depth_m) else math.inf
+        parts = [_divided(*ends, least, widest) for ends in zip(coarse[:-1].tolist(), coarse[1:].tolist(), strict=True)]
+        fine = np.append(np.concatenate(parts), coarse[-1])
+        steps = (fine[-1] - fine[0]) / (least * bins.sizes[j]) * growth
         edges.append(np.concatenate((fine[0] - steps[::-1], fine, fine[-1] + steps)))
     return QuantileBins.from_edges(edges)
+
+
+def _divided(low: float, high: float, least: int, widest: float) -> FloatArray:
+    """Lower edges of the cells of a bin."""
+    count = max(least, math.ceil(min((high - low) / widest, 1e9)))
+    if count <= 2 * _AT_EACH_END + _BETWEEN:
+        return np.linspace(low, high, count, endpoint=False)
+    end = widest * np.arange(_AT_EACH_END + 1)
+    return np.concatenate(
+        (low + end, np.linspace(low + end[-1], high - end[-1], _BETWEEN + 1)[1:-1], high - end[:0:-1])
+    )
 
 
 def _student_cdf(x: FloatArray) -> FloatArray:

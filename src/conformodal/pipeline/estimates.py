@@ -68,7 +68,7 @@ class Estimate:
     def revised(self) -> Trajectory | None:
         """The last frames in hindsight, oldest first, this one last; None without an image. Worked out when asked for.
 
-        A frame's pose may change until `lag` frames have followed it.
+        A frame's pose may change until ten frames have followed it.
         """
         return self.pose if self.revise is None else self.revise()
 

@@ -6,7 +6,6 @@ import math
 import warnings
 from abc import ABC, abstractmethod
 from contextlib import closing
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
@@ -24,8 +23,8 @@ from conformodal.io.decoding import grey_image
 from conformodal.io.streams.frames import RecordingStream, prefetch
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.filter import PoseFilter, Window
-from conformodal.localizer.observations import MotionPrior, Posterior, choose_places, find_places
+from conformodal.localizer.filter import PoseFilter, Window, hindsight_posteriors
+from conformodal.localizer.observations import MotionPrior, choose_places, find_places
 from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.tracking.tracker import FrontEnd, MotionFrontEnd, affine_flow
 
@@ -232,22 +231,12 @@ class VisualOdometry(Odometry):
                 flow = affine_flow(self._front_end.tracker.step, timestamp_s - self._usable_s, self.model.camera)
                 local_features = [local_features[0]._replace(flow=flow)]
         network = partial(self.model.backbone.features_of, image)
-        localization = self.model.localize(FrameEvidence(network, local_features))
-        posterior = self._filter.push(
-            localization.candidates[0], motion, timestamp_s, known=bool(localization.known[0])
-        )
-        estimate = self._estimate(localization, motion, timestamp_s, posterior)
-        estimate = replace(estimate, tracks=self._front_end.tracks, corners=self._front_end.corners)
-        return replace(estimate, revise=partial(_revised, self._filter.window(), self.model.prior))
+        return self._estimate(self.model.localize(FrameEvidence(network, local_features)), motion, timestamp_s)
 
-    def _estimate(
-        self,
-        localization: Localization,
-        motion: RelativeMotion | None,
-        timestamp_s: float,
-        posterior: Posterior,
-    ) -> Estimate:
-        """The estimate of a frame from the posterior up to it."""
+    def _estimate(self, localization: Localization, motion: RelativeMotion | None, timestamp_s: float) -> Estimate:
+        """The estimate of the next frame, from the posterior up to it."""
+        known = bool(localization.known[0])
+        posterior = self._filter.push(localization.candidates[0], motion, timestamp_s, known=known)
         places = find_places(posterior, self.model.prior)
         best = places[0]
         evidence, known_p = EvidenceType(int(localization.kinds[0])), float(localization.known_p[0])
@@ -280,6 +269,9 @@ class VisualOdometry(Odometry):
             orientation_spread_rad=best.orientation_spread_rad,
             posterior=posterior,
             places=places,
+            tracks=self._front_end.tracks,
+            corners=self._front_end.corners,
+            revise=partial(_revised, self._filter.window(), self.model.prior),
         )
 
     def _doubts(self, region: PoseRegions, pose: Trajectory) -> list[str]:
@@ -297,7 +289,8 @@ class VisualOdometry(Odometry):
 
 def _revised(window: Window, prior: MotionPrior) -> Trajectory:
     """The poses of the last frames of a stream, in hindsight."""
-    return as_trajectory(choose_places(window.hindsight(prior), window.seen.timestamps_s, prior))
+    posteriors = hindsight_posteriors(window.seen, prior, window.forward)
+    return as_trajectory(choose_places(posteriors, window.seen.timestamps_s, prior))
 
 
 def odometry_of(model: PoseModel) -> Odometry:

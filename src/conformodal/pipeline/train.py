@@ -9,7 +9,6 @@ import numpy as np
 
 from conformodal.core.extras import require_extra
 from conformodal.core.files import default_cache_dir
-from conformodal.core.parallel import side_by_side
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.geometry import RelativeMotion, sign_reference
@@ -118,10 +117,8 @@ def train_model(
         features, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
         novelty = PlaceNovelty.fit(features, pieces, data.backbone.config.grid)
         frames_alone = calibrate_regions(sources, folds, localizers, novelty, config)
-        path_rules, regions = side_by_side(
-            lambda: calibrate_paths(data.sequence, data.targets, folds, localizers, frames_alone, prior, motions),
-            lambda: calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, frames_alone, progress),
-        )
+        path_rules = calibrate_paths(data.sequence, data.targets, folds, localizers, frames_alone, prior, motions)
+        regions = calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, frames_alone, progress)
     rules, novelty = regions.rules, regions.novelty
     test = data.split.test
     return PoseModel(

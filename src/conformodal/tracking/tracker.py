@@ -19,7 +19,7 @@ from .relative_pose import MIN_TRACKS, TwoViewSolver, estimate_relative_motion, 
 _MAX_CORNERS = 500  # tracked at a time
 # New corners are detected below this share of those after the last detection, as the image may have given no more, and
 # below this share of those tracked at a time
-_RENEW_BELOW, _FEW = 0.85, 0.5
+_RENEW_BELOW, _LEAST_SHARE = 0.85, 0.5
 _HARRIS_K = 0.04  # weight of the squared trace in the Harris response
 _QUALITY = 1e-4  # weakest Harris response, relative to the strongest
 _SPACING = 0.025  # least distance between new corners, as a share of the image width
@@ -97,7 +97,7 @@ class CornerTracker:
         """Measure motion from the current frame on: renew lost corners, and note where all of them are."""
         if self._image is None:
             return
-        if len(self._now) < max(_RENEW_BELOW * self._n_renewed, _FEW * _MAX_CORNERS):
+        if len(self._now) < max(_RENEW_BELOW * self._n_renewed, _LEAST_SHARE * _MAX_CORNERS):
             new = self._new_corners(self._image, _MAX_CORNERS - len(self._now))
             self._now = np.concatenate((self._now, new))
             self._ids = np.concatenate((self._ids, self._n_ever + np.arange(len(new))))

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.core import parallel
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.geometry.map_poses import ROUNDS
 from conformodal.localizer.sources import mapping
@@ -152,7 +151,7 @@ def test_a_camera_far_from_the_given_one_is_not_believed(world_of, stated_camera
 def test_a_map_does_not_depend_on_the_number_of_threads(monkeypatch, world_of, stated_camera, depth_m):
     world, maps = world_of(n=20), []
     for n in (1, 3):
-        monkeypatch.setattr(parallel, "_limit", n)
+        monkeypatch.setenv("OMP_NUM_THREADS", str(n))
         maps.append(LandmarkMap.build(world.local_features(wrong=0.2), world.poses_se3, stated_camera, depth_m))
     for name in ("points_xyz", "descriptors", "starts", "T_pose_cam"):
         np.testing.assert_array_equal(getattr(maps[0], name), getattr(maps[1], name))

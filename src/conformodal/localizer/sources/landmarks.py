@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray, IntArray, evenly_spread, rows_by_label
+from conformodal.core.arrays import FloatArray, IntArray, evenly_spread
 from conformodal.core.parallel import in_threads
 from conformodal.core.progress import Progress, stage_of
 from conformodal.core.ranges import Range
@@ -49,7 +49,7 @@ _SETTINGS = {
     "errors": ErrorModel.json_schema(n_support=3),
     "grid": (None, [Range(1, whole=True)] * 2),
 }
-_MOST_KEYFRAMES, _PLACE = 1000, 10.0  # of a place, and its side in scene depths
+_MOST_KEYFRAMES, _AREA = 1000, 5.0  # of an area, and its radius in scene depths
 _LEFT_OUT = 100  # keyframes that the error model is learnt from
 # Keyframes whose view overlaps by more than this are hidden from a left-out one, so that hardly anything it sees is
 # mapped; and the weight of such a case.
@@ -60,7 +60,7 @@ _SAME_PLACE = 0.5  # share of the scene's depth within which an estimate is of t
 @register_source
 @dataclass(frozen=True, eq=False)
 class LandmarkSource:
-    """A map of landmarks from `frames` (m,), or 1000 of each place, and the error model of its estimates."""
+    """A map of landmarks from `frames` (m,), or 1000 of each area, and the error model of its estimates."""
 
     name: ClassVar[str] = "landmarks"
     local: ClassVar[bool] = True
@@ -87,7 +87,7 @@ class LandmarkSource:
             return None
         pieces = data.stretches if len(np.unique(data.pieces[frames])) < 2 else data.pieces
         positions = data.sequence.require_truth().positions_xyz
-        chosen = frames[_keyframes(positions[frames], _PLACE * data.depth_m)]
+        chosen = frames[_keyframes(positions[frames], _AREA * data.depth_m)]
         features, truth = data.local_features(chosen), data.sequence.require_truth()[chosen]
         left_out, report = evenly_spread(len(chosen), _LEFT_OUT), stage_of(data.progress, "landmarks")
 
@@ -143,11 +143,17 @@ class LandmarkSource:
         return cls(mapped, state.arrays["frames"], ErrorModel.from_json(settings["errors"]), grid)
 
 
-def _keyframes(positions_xyz: FloatArray, side_m: float) -> IntArray:
-    """Of frames at positions (n, 3), at most 1000 in each cube of a grid, evenly spread over them, in order."""
-    cubes = np.floor((positions_xyz - positions_xyz.min(axis=0)) / side_m)
-    places = rows_by_label(np.unique(cubes, axis=0, return_inverse=True)[1].ravel())
-    return np.sort(np.concatenate([rows[evenly_spread(len(rows), _MOST_KEYFRAMES)] for rows in places]))
+def _keyframes(positions_xyz: FloatArray, radius_m: float) -> IntArray:
+    """Of frames at positions (n, 3), at most 1000 of each area, evenly spread over them, in order.
+
+    The first frame that is in no area is the middle of the next.
+    """
+    left, chosen = np.arange(len(positions_xyz)), []
+    while left.size:
+        near = np.linalg.norm(positions_xyz[left] - positions_xyz[left[0]], axis=1) < radius_m
+        area, left = left[near], left[~near]
+        chosen.append(area[evenly_spread(len(area), _MOST_KEYFRAMES)])
+    return np.sort(np.concatenate(chosen))
 
 
 def _fit_errors(
