@@ -16,6 +16,7 @@ from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.config import ModelConfig, OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.evaluate import RegionStatistics, coverage_table
+from conformodal.pipeline.model import Localization
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 from tests.small_model import small_model
@@ -33,9 +34,8 @@ def test_a_saved_model_gives_the_same_answers(model, sequence, small_world, tmp_
     features = extract_features(
         [sequence.image_paths[i] for i in frames], model.backbone, FeatureCache(small_world.cache)
     )
-    local = [
-        extract_local_features(sequence.image(i) // np.uint8(10 if i == frames[0] else 1), model.camera) for i in frames
-    ]
+    images = [sequence.image(i) // np.uint8(10 if i == frames[0] else 1) for i in frames]
+    local = [extract_local_features(image, model.camera, model.detector) for image in images]
     here, there = (which.localize(FrameEvidence(features, local)) for which in (model, back))
     for a, b in zip(here.beliefs.proba, there.beliefs.proba, strict=True):
         np.testing.assert_array_equal(a, b)
@@ -63,7 +63,7 @@ def test_regions_of_disturbed_images_are_calibrated_on_disturbed_ones(model, seq
     noisy, frames = replace(sequence, noise=Disturbance(seed=5)), model.split.test
     cache = FeatureCache(small_world.cache)
     features = extract_features([sequence.image_paths[i] for i in frames], model.backbone, cache, noise=noisy.noise)
-    local = [extract_local_features(noisy.image(i), model.camera) for i in frames]
+    local = [extract_local_features(noisy.image(i), model.camera, model.detector) for i in frames]
     found = model.localize(FrameEvidence(features, local))
     out = model.quality.left_by(np.array([its.quality for its in local]))
     assert out.sum() > 10
@@ -82,8 +82,9 @@ def test_a_region_from_a_posterior_is_unbounded_after_a_gap_longer_than_those_th
     features = np.zeros((3, small.backbone.n_features), np.float32)
     beliefs, limit = small.localizer.beliefs(FrameEvidence(features)), small.path_rules["online"].longest_gap_s
     known = start(beliefs.mixtures[0].candidates, known=True)
+    answers = Localization(beliefs, None, np.ones(3), np.full(3, EvidenceType.LANDMARKS))
     posteriors = [replace(known, unseen_s=gap) for gap in (0.0, limit, 1.01 * limit)]
-    unbounded = small.path_regions(beliefs, posteriors, "online").unbounded
+    unbounded = small.path_regions(answers, posteriors, "online").unbounded
     assert unbounded.all(axis=1).tolist() == [False, False, True]
     assert not unbounded[:2].any()
 

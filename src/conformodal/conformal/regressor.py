@@ -110,7 +110,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     bins_ : QuantileBins
     estimators_ : list of d fitted estimators; of a classifier, its five fits in ``classifiers`` and their smoothing
     calibrator_ : SplitConformal, or MondrianConformal with groups
-    columns_, group_column_ : names of the columns of `X` and of `groups`, which :meth:`predict_table` reads
+    columns_, group_column_ : names of the columns of `X` and of `groups`, which ``predict_table`` reads
 
     Examples
     --------

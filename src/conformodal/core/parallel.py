@@ -54,9 +54,7 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: 
 
 
 def in_workers(work: Callable[[Item], Result], items: Sequence[Item], progress: Progress | None = None) -> list[Result]:
-    """Results of `work` in the order of the items, by the workers of :func:`joblib.parallel_config`: processes, or a
-    cluster. Without such a configuration, :func:`in_threads`; results are the same.
-    """
+    """As :func:`in_threads`, by the workers of :func:`joblib.parallel_config` if there are any."""
     workers, results = Parallel(return_as="generator"), list[Result]()
     if workers.n_jobs == 1:
         return in_threads(work, items, progress)

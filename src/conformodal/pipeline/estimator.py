@@ -248,7 +248,7 @@ class VisualOdometry(Odometry):
         if best.probability < RELIABLE:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
         pose = Trajectory(np.array([timestamp_s]), best.position_xyz[None], best.orientation_quat_wxyz[None])
-        path_region = self.model.path_regions(localization.beliefs, [posterior], ONLINE)
+        path_region = self.model.path_regions(localization, [posterior], ONLINE)
         problems += self._doubts(localization.regions if path_region is None else path_region, pose)
         if path_region is not None and not self._holds(localization.regions, pose):  # a path may be sure and wrong
             problems.append("the pose lies outside of the image's region")

@@ -265,22 +265,27 @@ class PoseModel:
             [pose_regions(rule, proba, supports[rows], thresholds[rows]) for rows, proba in parts]
         )
 
-    def path_regions(self, beliefs: Beliefs, posteriors: Sequence[Posterior], path: str) -> PoseRegions | None:
+    def path_regions(self, answers: Localization, posteriors: Sequence[Posterior], path: str) -> PoseRegions | None:
         """Regions of n images from posteriors, unbounded where these are lost, or most probably beyond the cells, or
         where no image shows a known place for longer than in the streams that calibrate them.
 
-        `path`, one of :data:`PATHS`, says which frames the posteriors rest on; None where these are not calibrated.
+        Few disturbed and weakly recognised images calibrate paths: their thresholds are at least those of the image
+        alone. `path`, one of :data:`PATHS`, says what posteriors rest on; None where these are not calibrated.
         """
         rule = self.path_rules.get(path)
         if rule is None:
             return None
-        after = beliefs.after(posteriors)
+        after = answers.beliefs.after(posteriors)
         supports = self.localizer.supports(after)
         lost = [
             posterior.lost or posterior.unseen_s > rule.longest_gap_s or support.out_of_range
             for posterior, support in zip(posteriors, supports, strict=True)
         ]
-        thresholds = np.where(np.array(lost)[:, None], np.inf, rule.calibration.thresholds_)
+        of_path, alone = rule.calibration.thresholds_, self.rules.thresholds(answers.kinds)
+        harder = np.isin(answers.kinds, (EvidenceType.DISTURBED, EvidenceType.WEAK))[:, None] & np.isfinite(alone)
+        if self.rules.overall.score == rule.calibration.score:  # shares of the belief, as those of paths are
+            of_path = np.where(harder, np.maximum(alone, of_path), of_path)
+        thresholds = np.where(np.array(lost)[:, None], np.inf, of_path)
         return self._level_sets(rule.calibration, after, supports, thresholds)
 
     def recalibrate(self, alpha: Alpha) -> None:

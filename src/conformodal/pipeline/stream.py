@@ -233,7 +233,7 @@ class StreamRunner:
         for (estimate, truth), posterior in zip(pending[wanted], posteriors[wanted], strict=True):
             if (truth is None and not self._keep_regions) or estimate.localization is None:
                 continue
-            region = model.path_regions(estimate.localization.beliefs, [posterior], HINDSIGHT)
+            region = model.path_regions(estimate.localization, [posterior], HINDSIGHT)
             if self._keep_regions and region is not None:
                 self.hindsight_regions.append(region)
             if truth is not None:
