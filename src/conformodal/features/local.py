@@ -32,7 +32,7 @@ _LEAST_HEAT = 0.05  # of a corner
 _SUPPRESSED_PX = 5  # across; the hottest pixel of a window is its only corner
 _UNIT = 254.0  # length of directions as bytes: their components rarely exceed a half
 # Matches of bits: ratio of the distances to the nearest and the second nearest (Lowe 2004); of directions: cosine
-_RATIO, _LEAST_COSINE = 0.85, 0.82
+_RATIO, _LEAST_COSINE = 0.85, 0.75
 # of matches where a pose says that they are: less than a quarter of the bits differ; cosine
 _GUIDED_BITS, _GUIDED_COSINE = 0.5, 0.75
 

@@ -21,9 +21,9 @@ from conformodal.geometry.adjustment import MEDIAN_OF_NORM2
 from conformodal.geometry.triangulation import nearest_kilometres
 from conformodal.localizer.evidence import PoseMeasurement
 
-# Retrieval: keyframes matched in each cluster, and in the most similar if those give no sure pose; clusters at most,
-# and keyframes that are clustered
-_KEYFRAMES, _MORE, _CLUSTERS, _RETRIEVED = 3, 6, 8, 200
+# Retrieval: keyframes matched in the most similar cluster and in each of the others, clusters at most, and keyframes
+# that are clustered
+_FIRST, _OTHERS, _CLUSTERS, _RETRIEVED = 6, 3, 8, 200
 _SPREAD = 0.05  # scene depths plus radians by which keyframes of a cluster differ; 0.1 makes poses worse on fr1
 _RADIUS = 0.5  # of a cluster, as a share of the scene's depth
 _MAX_DISTANCE_RATIO = 5.0  # descriptor distance of a cluster over that of the first
@@ -129,9 +129,7 @@ class LandmarkMap:
             if any(self._explained(first, image, *one) for one in guided):
                 continue
             most = _RIVALS_ITERATIONS if guided else _ITERATIONS
-            solution = self._solve(image, self._matched(image, near[:_KEYFRAMES], matches), shown, most)
-            if len(near) > _KEYFRAMES and (solution is None or len(solution.corners) < _GUIDING_INLIERS):
-                solution = self._solve(image, self._matched(image, near, matches), shown, most)
+            solution = self._solve(image, self._matched(image, near, matches), shown, most)
             estimate = None if solution is None else self._measured(image, solution, shown)
             if solution is not None and estimate is not None:
                 estimates.append(estimate)
@@ -172,7 +170,7 @@ class LandmarkMap:
                 break
             apart = np.linalg.norm(self.poses_se3[order, :3, 3] - self.poses_se3[order[0], :3, 3], axis=1)
             here = apart < _RADIUS * self.depth_m
-            clusters.append(self._spread(order[here], _KEYFRAMES if clusters else _MORE))
+            clusters.append(self._spread(order[here], _OTHERS if clusters else _FIRST))
             order = order[~here]
         return clusters
 
