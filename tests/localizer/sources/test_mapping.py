@@ -125,7 +125,7 @@ def test_a_place_is_solved_once_though_keyframes_far_apart_show_it(monkeypatch, 
     image = world.see(world.poses_se3[30], seed=3)
     monkeypatch.setattr("conformodal.localizer.sources.landmark_map._MAX_DISTANCE_RATIO", 100)
     (once,) = landmarks.localize(image)
-    monkeypatch.setattr(LandmarkMap, "_explained", lambda *_: False)
+    monkeypatch.setattr(LandmarkMap, "_agree", lambda *_: False)
     every = landmarks.localize(image)
     assert len(every) > 1
     assert max(np.linalg.norm(one.position_xyz - once.position_xyz) for one in every) < 0.02

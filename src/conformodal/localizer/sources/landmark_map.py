@@ -29,10 +29,8 @@ _RADIUS = 0.5  # of a cluster, as a share of the scene's depth
 _MAX_DISTANCE_RATIO = 5.0  # descriptor distance of a cluster over that of the first
 MIN_INLIERS = 12  # of a pose
 _AGREEING = 6  # matches of a keyframe, and most of them, that agree with a pose by more than chance
-_RIVAL = 0.2  # matches of a keyframe that contradict a pose, over those of its first keyframe that agree, at least
 _MAX_REPROJECTION_PX = 6.0
-_RANSAC = {"max_reproj_error": _MAX_REPROJECTION_PX, "min_iterations": 50, "seed": 0}
-_ITERATIONS, _RIVALS_ITERATIONS = 1000, 200  # at most: of a first pose, and of those that rival a sure one
+_RANSAC = {"max_reproj_error": _MAX_REPROJECTION_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
 _REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 1.0, "max_iterations": 10}  # more take long and hardly move a pose
 _LEAST_RESIDUAL_PX = 0.5  # no corner is located more precisely
 # Keyframes whose deviations correct an estimate, weighted by one over their distance, to which this is added (scene
@@ -122,20 +120,16 @@ class LandmarkMap:
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
         matches, image = {} if matches is None else matches, image.at_pose_time(self.shutter, self.camera)
         estimates: list[PoseMeasurement] = []
-        # poses that all keyframes near them support, and how many matches of the first of these agree with each
-        guided: list[tuple[FloatArray, int]] = []
+        guided: list[FloatArray] = []  # the poses of those that all keyframes near them support
         for near in self._retrieve(image.global_descriptor, shown):
-            first = self._matched(image, near[:1], matches)
-            if any(self._explained(first, image, *one) for one in guided):
+            if any(self._agree(self._matched(image, near[:1], matches), image, pose) for pose in guided):
                 continue
-            most = _RIVALS_ITERATIONS if guided else _ITERATIONS
-            solution = self._solve(image, self._matched(image, near, matches), shown, most)
+            solution = self._solve(image, self._matched(image, near, matches), shown)
             estimate = None if solution is None else self._measured(image, solution, shown)
             if solution is not None and estimate is not None:
                 estimates.append(estimate)
                 if len(solution.corners) >= _GUIDING_INLIERS:
-                    agreeing = int(self._agreeing(first, image, solution.T_world_cam).sum())
-                    guided.append((solution.T_world_cam, agreeing))
+                    guided.append(solution.T_world_cam)
         return estimates
 
     def _matched(self, image: LocalFeatures, frames: IntArray, matches: dict[int, IntArray]) -> IntArray:
@@ -146,17 +140,11 @@ class LandmarkMap:
             matches[frame] = np.add(pairs, (0, self.starts[frame]))
         return np.concatenate([matches[frame] for frame in frames.tolist()])
 
-    def _agreeing(self, pairs: IntArray, image: LocalFeatures, T_world_cam: FloatArray) -> BoolArray:
-        """Whether matches (m,) agree with a pose."""
+    def _agree(self, pairs: IntArray, image: LocalFeatures, T_world_cam: FloatArray) -> bool:
+        """Whether most matches of a keyframe agree with a pose."""
         pixels, ahead = self._projected(self.points_xyz[pairs[:, 1]].astype(np.float64), T_world_cam)
-        near = np.linalg.norm(pixels - image.pixels[pairs[:, 0]], axis=1) < _MAX_REPROJECTION_PX
-        return np.asarray(ahead & near)
-
-    def _explained(self, pairs: IntArray, image: LocalFeatures, T_world_cam: FloatArray, n_agree: int) -> bool:
-        """Whether most matches of a keyframe agree with a pose, or too few contradict it for a rival of the pose."""
-        agree = self._agreeing(pairs, image, T_world_cam)
-        agreeing, rivals = int(agree.sum()), int((~agree).sum())
-        return agreeing >= max(_AGREEING, rivals) or rivals < _RIVAL * n_agree
+        agree = ahead & (np.linalg.norm(pixels - image.pixels[pairs[:, 0]], axis=1) < _MAX_REPROJECTION_PX)
+        return bool(agree.sum() >= max(_AGREEING, len(pairs) / 2))
 
     def _retrieve(self, descriptor: Float32Array, shown: BoolArray) -> list[IntArray]:
         """Keyframes similar to an image, clustered by position, in order of similarity."""
@@ -188,14 +176,13 @@ class LandmarkMap:
         apart = np.linalg.norm(poses[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
         return np.asarray(apart + np.arccos(np.clip(poses[:, :3, 2] @ T_world_pose[:3, 2], -1, 1)))
 
-    def _solve(self, image: LocalFeatures, pairs: IntArray, shown: BoolArray, most: int) -> _Solution | None:
-        """The pose of an image from matches (m, 2) of corners and landmarks, some of them right, in `most` trials."""
+    def _solve(self, image: LocalFeatures, pairs: IntArray, shown: BoolArray) -> _Solution | None:
+        """The pose of an image from matches (m, 2) of corners and landmarks, some of them right."""
         corners, landmarks = pairs.T
         points, pixels = self.points_xyz[landmarks].astype(np.float64), image.pixels[corners]
         if len(pixels) < MIN_INLIERS:
             return None
-        trials = _RANSAC | {"max_iterations": most}
-        pose, info = poselib.estimate_absolute_pose(pixels, points, self.camera.poselib(), trials, _REFINEMENT)
+        pose, info = poselib.estimate_absolute_pose(pixels, points, self.camera.poselib(), _RANSAC, _REFINEMENT)
         inliers = np.asarray(info["inliers"], dtype=np.bool_)
         if inliers.sum() < MIN_INLIERS:
             return None
