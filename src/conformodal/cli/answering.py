@@ -196,7 +196,7 @@ def _verdict(metrics: dict[str, Any]) -> list[str]:
     extent = f"regions are {sides} {unit} (x, y, z; median)" if sides else "no region is bounded"
     if "errors" in metrics:
         extent += f"; median error of the position {length(next(iter(metrics['errors'].values()))['median_m'], unit)}"
-    step = f"use the {n - metrics['n_unreliable']} of {counted(n, 'pose')} marked reliable; {PAGE} shows each frame"
+    step = f"use the {n - metrics['n_unreliable']} of {counted(n, 'pose')} marked reliable"
     if metrics["stopped"]:
         step = f"run again, or use what there is: stopped early, {metrics['stopped']}"
     elif n_unknown > n / 2:

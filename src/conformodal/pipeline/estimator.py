@@ -235,8 +235,8 @@ class VisualOdometry(Odometry):
 
     def _estimate(self, localization: Localization, motion: RelativeMotion | None, timestamp_s: float) -> Estimate:
         """The estimate of the next frame, from the posterior up to it."""
-        known = bool(localization.known[0])
-        posterior = self._filter.push(localization.candidates[0], motion, timestamp_s, known=known)
+        candidates, shows_known = localization.candidates[0], bool(localization.known[0])
+        posterior = self._filter.push(candidates, motion, timestamp_s, known=shows_known)
         places = find_places(posterior, self.model.prior)
         best = places[0]
         evidence, known_p = EvidenceType(int(localization.kinds[0])), float(localization.known_p[0])
@@ -257,7 +257,7 @@ class VisualOdometry(Odometry):
             pose=pose,
             region=localization.regions,
             path_region=path_region,
-            candidates=localization.candidates[0],
+            candidates=candidates,
             relative_motion=motion,
             reliable=not problems,
             problem="; ".join(problems),
