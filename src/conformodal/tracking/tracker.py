@@ -23,6 +23,7 @@ _RENEW_BELOW, _LEAST_SHARE = 0.85, 0.5
 _HARRIS_K = 0.04  # weight of the squared trace in the Harris response
 _QUALITY = 1e-4  # weakest Harris response, relative to the strongest
 _SPACING = 0.025  # least distance between new corners, as a share of the image width
+_HALVED_FROM = 400  # pixels across from which corners are detected at half size: a quarter of the time, longer tracks
 _WINDOW_PX = 11  # of Lucas-Kanade flow
 # pyramid levels above the image; and for tracking back, which starts from the corner's first position
 _LEVELS, _BACK_LEVELS = 4, 1
@@ -115,14 +116,20 @@ class CornerTracker:
         return Corners(self._ids.copy(), self._now.copy())
 
     def _new_corners(self, image: UInt8Array, count: int) -> Float32Array:
+        smaller = 2 if image.shape[1] >= _HALVED_FROM else 1
+        if smaller > 1:
+            image = np.asarray(cv2.resize(image, None, fx=1 / smaller, fy=1 / smaller, interpolation=cv2.INTER_AREA))
         spacing = max(3.0, _SPACING * image.shape[1])
         free = np.full(image.shape, 255, np.uint8)
-        for x, y in self._now:
+        for x, y in self._now / smaller:
             cv2.circle(free, (round(float(x)), round(float(y))), round(spacing), 0, -1)
         corners = cv2.goodFeaturesToTrack(
             image, count, _QUALITY, spacing, mask=free, useHarrisDetector=True, k=_HARRIS_K
         )
-        return np.empty((0, 2), np.float32) if corners is None else np.asarray(corners, np.float32).reshape(-1, 2)
+        if corners is None:
+            return np.empty((0, 2), np.float32)
+        # pixel centres are whole numbers, see PinholeCamera
+        return np.asarray((corners.reshape(-1, 2) + 0.5) * smaller - 0.5, np.float32)
 
 
 def affine_flow(step: tuple[Float32Array, Float32Array], seconds: float, camera: PinholeCamera) -> FloatArray:
