@@ -39,10 +39,10 @@ FAR_M, ASKED = 0.3, 40  # a large error; images that are localised, of each part
 
 
 VARIANTS = {  # whether the network retrieves, the detector, and the size of images that it sees
+    "XFeat at 0.7 of the size": (False, "xfeat", 0.7),
+    "XFeat at full size": (False, "xfeat", 1.0),
+    "XFeat at half size": (False, "xfeat", 0.5),
     "ORB": (True, "orb", 1.0),
-    "retrieved by thumbnails": (False, "orb", 1.0),
-    "XFeat at 0.7 of the size": (True, "xfeat", 0.7),
-    "XFeat at half size": (True, "xfeat", 0.5),
 }
 
 

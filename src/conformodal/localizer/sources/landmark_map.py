@@ -28,9 +28,11 @@ _SPREAD = 0.05  # scene depths plus radians by which keyframes of a cluster diff
 _RADIUS = 0.5  # of a cluster, as a share of the scene's depth
 _MAX_DISTANCE_RATIO = 5.0  # descriptor distance of a cluster over that of the first
 MIN_INLIERS = 12  # of a pose
-_AGREEING = 6  # matches of a keyframe, and most of them, that agree with a pose by more than chance
+# Matches of a keyframe, and their share, that agree with a pose by more than chance: 0 of keyframes of other places
+_AGREEING, _AGREEING_SHARE = 6, 0.1
 _MAX_REPROJECTION_PX = 6.0
-_RANSAC = {"max_reproj_error": _MAX_REPROJECTION_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
+_RANSAC = {"max_reproj_error": _MAX_REPROJECTION_PX, "max_iterations": 300, "min_iterations": 50, "seed": 0}
+_RIVALS_ITERATIONS = 60  # at most, for a place that rivals a sure one: half of its matches would be right
 _REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 1.0, "max_iterations": 10}  # more take long and hardly move a pose
 _LEAST_RESIDUAL_PX = 0.5  # no corner is located more precisely
 # Keyframes whose deviations correct an estimate, weighted by one over their distance, to which this is added (scene
@@ -122,9 +124,11 @@ class LandmarkMap:
         estimates: list[PoseMeasurement] = []
         guided: list[FloatArray] = []  # the poses of those that all keyframes near them support
         for near in self._retrieve(image.global_descriptor, shown):
-            if any(self._agree(self._matched(image, near[:1], matches), image, pose) for pose in guided):
+            first = self._matched(image, near[:1], matches)
+            if any(self._agree(first, image, pose) for pose in guided):
                 continue
-            solution = self._solve(image, self._matched(image, near, matches), shown)
+            pairs = first if guided else self._matched(image, near, matches)
+            solution = self._solve(image, pairs, shown, rival=bool(guided))
             estimate = None if solution is None else self._measured(image, solution, shown)
             if solution is not None and estimate is not None:
                 estimates.append(estimate)
@@ -141,10 +145,10 @@ class LandmarkMap:
         return np.concatenate([matches[frame] for frame in frames.tolist()])
 
     def _agree(self, pairs: IntArray, image: LocalFeatures, T_world_cam: FloatArray) -> bool:
-        """Whether most matches of a keyframe agree with a pose."""
+        """Whether more matches of a keyframe agree with a pose than by chance: it shows the same place."""
         pixels, ahead = self._projected(self.points_xyz[pairs[:, 1]].astype(np.float64), T_world_cam)
         agree = ahead & (np.linalg.norm(pixels - image.pixels[pairs[:, 0]], axis=1) < _MAX_REPROJECTION_PX)
-        return bool(agree.sum() >= max(_AGREEING, len(pairs) / 2))
+        return bool(agree.sum() >= max(_AGREEING, _AGREEING_SHARE * len(pairs)))
 
     def _retrieve(self, descriptor: Float32Array, shown: BoolArray) -> list[IntArray]:
         """Keyframes similar to an image, clustered by position, in order of similarity."""
@@ -176,19 +180,20 @@ class LandmarkMap:
         apart = np.linalg.norm(poses[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
         return np.asarray(apart + np.arccos(np.clip(poses[:, :3, 2] @ T_world_pose[:3, 2], -1, 1)))
 
-    def _solve(self, image: LocalFeatures, pairs: IntArray, shown: BoolArray) -> _Solution | None:
+    def _solve(self, image: LocalFeatures, pairs: IntArray, shown: BoolArray, *, rival: bool) -> _Solution | None:
         """The pose of an image from matches (m, 2) of corners and landmarks, some of them right."""
-        corners, landmarks = pairs.T
+        # a corner that matches several keyframes is one observation
+        alike, _ = alike_enough(image.descriptors[pairs[:, 0]], self.descriptors[pairs[:, 1]])
+        corners, landmarks = pairs[_most_similar(pairs[:, 0], alike)].T
         points, pixels = self.points_xyz[landmarks].astype(np.float64), image.pixels[corners]
         if len(pixels) < MIN_INLIERS:
             return None
-        pose, info = poselib.estimate_absolute_pose(pixels, points, self.camera.poselib(), _RANSAC, _REFINEMENT)
+        ransac = _RANSAC | {"max_iterations": _RIVALS_ITERATIONS} if rival else _RANSAC
+        pose, info = poselib.estimate_absolute_pose(pixels, points, self.camera.poselib(), ransac, _REFINEMENT)
         inliers = np.asarray(info["inliers"], dtype=np.bool_)
         if inliers.sum() < MIN_INLIERS:
             return None
-        # a corner matched with several keyframes is one observation, so it counts once
-        share = len(np.unique(corners[inliers])) / len(np.unique(corners))
-        T_world_cam = _camera_to_world(pose)
+        share, T_world_cam = float(inliers.mean()), _camera_to_world(pose)
         if inliers.sum() >= _GUIDING_INLIERS:
             corners, landmarks = self._guided(image, T_world_cam, shown)
             points, pixels = self.points_xyz[landmarks].astype(np.float64), image.pixels[corners]
@@ -215,9 +220,8 @@ class LandmarkMap:
         turn = Rotation.from_rotvec(-off[3:]) * Rotation.from_matrix(T_world_pose[:3, :3])
         position, quat = self.origin_xyz + T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True)
         agreeing = np.unique(solution.corners)
-        image_share = self._share_of_image(image.pixels[agreeing])
-        share = solution.inlier_share
-        return PoseMeasurement(position, quat, sigma_m, sigma_rad, len(agreeing), 1.0, share, image_share, apart)
+        shares = solution.inlier_share, self._share_of_image(image.pixels[agreeing])
+        return PoseMeasurement(position, quat, sigma_m, sigma_rad, len(agreeing), 1.0, *shares, apart)
 
     def _guided(self, image: LocalFeatures, T_world_cam: FloatArray, shown: BoolArray) -> tuple[IntArray, IntArray]:
         """Corners and landmarks (m,) that match where the keyframes nearest to a pose say that they are."""
@@ -226,14 +230,12 @@ class LandmarkMap:
         landmarks = np.concatenate([np.arange(self.starts[i], self.starts[i + 1]) for i in near.tolist()])
         pixels_seen, ahead = self._projected(self.points_xyz[landmarks].astype(np.float64), T_world_cam)
         landmarks, pixels_seen = landmarks[ahead], pixels_seen[ahead]
-        count = min(_CORNERS, len(image.pixels))
-        nearest = np.arange(1, count + 1)
+        nearest = np.arange(1, min(_CORNERS, len(image.pixels)) + 1)
         away, corners = KDTree(image.pixels).query(pixels_seen, nearest, distance_upper_bound=_RADIUS_PX)
         rows, columns = np.nonzero(np.isfinite(away))
         corners = np.asarray(corners)[rows, columns]
         alike, enough = alike_enough(image.descriptors[corners], self.descriptors[landmarks[rows]])
-        best = np.lexsort((-alike, rows))
-        best = best[np.unique(rows[best], return_index=True)[1]]
+        best = _most_similar(rows, alike)
         best = best[enough[best]]
         return corners[best], landmarks[rows[best]]
 
@@ -286,6 +288,12 @@ class LandmarkMap:
             return None
         variance = np.diag(np.linalg.inv(information))
         return float(np.sqrt(variance[:3].mean())), float(np.sqrt(variance[3:].mean()))
+
+
+def _most_similar(groups: IntArray, alike: Float32Array) -> IntArray:
+    """Indices of the most similar (n,) of each group (n,)."""
+    order = np.lexsort((-alike, groups))
+    return order[np.unique(groups[order], return_index=True)[1]]
 
 
 def _camera_to_world(pose: poselib.CameraPose) -> FloatArray:
