@@ -11,7 +11,7 @@ OLDEST := .venv-oldest
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH ?= torch==2.13.0
 
-.PHONY: demo test test-slow coverage test-oldest lint check docs setup clean
+.PHONY: demo test test-slow coverage test-oldest lint check docs results setup clean
 
 demo: $(READY)
 	$(BIN)/conformodal demo --out demo-out
@@ -49,6 +49,11 @@ check: test test-slow lint
 # the site, in site/; a warning is an error
 docs: $(DOCS)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+# every table of benchmarks/results, from one revision without changes; data sets lie in $$CONFORMODAL_DATA
+results: $(DEV)
+	$(BIN)/python -m pip install --quiet --no-deps -r benchmarks/peers/requirements.txt -r benchmarks/peers/recordings.txt
+	$(BIN)/python benchmarks/results.py
 
 setup: $(DEV)
 

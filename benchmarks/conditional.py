@@ -94,7 +94,8 @@ def main() -> None:
             rows.append([name, str(len(by_group)), method, *(mean_interval(values, 3) for values in shown)])
     notes = (
         f"alpha = {ALPHA}, score density, default learner; {TRAIN} training rows, {CAL} calibration rows, the rest "
-        "for testing, drawn at random, so rows are exchangeable; mean ± half of the 95 % interval over seeds 10 to 14. "
+        "for testing, drawn at random, so rows are exchangeable; mean ± half of the 95 % interval over seeds "
+        f"{SEEDS[0]} to {SEEDS[-1]}. "
         f"Groups of at least {LEAST:.0%} of the rows: births by the mother's race, marriage, delivery, the child's "
         "sex, twins, smoking and early birth; air by land use and setting; temperature by thirds of height, radiation "
         "and clouds. Least and most: coverage of the group that is covered least and most on average over seeds. "

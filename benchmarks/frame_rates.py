@@ -1,6 +1,6 @@
 """Coverage of regions from posteriors on new flights, at other frame rates than that of the calibration.
 
-python benchmarks/frame_rates.py [--seeds 10 11 12] [--runs FOLDER]
+python benchmarks/frame_rates.py [--seeds 30]
 
 Models are of a corridor of three modules, one lap; flights are new ones through the same world, rendered at 30 frames
 per second and thinned. Models, flights and numbers are kept, so an interrupted run goes on.
@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from common import RESULTS, ROOT, cached_json, mean_interval, parser_with_seeds, part_of, write_table
+from common import RUNS, cached_json, mean_interval, parser_with_seeds, part_of, write_table
 
 from conformodal.conformal.coverage import grouped_coverage_band
 from conformodal.corridor import write_corridor
@@ -32,7 +32,7 @@ from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 
 MODULES, LAPS, ALPHA, NEW_FLIGHT = 3, 1, 0.2, 1000
-RATES_HZ = (2, 5, 10, 30)
+RATES_HZ = (2, 10, 30)
 SPLITS = ("interleaved", "blocks")
 
 
@@ -87,16 +87,15 @@ def measured(split: str, seed: int, rate_hz: float, runs: Path) -> dict[str, flo
 
 
 def main() -> None:
-    parser = parser_with_seeds(__doc__, seeds=(10, 11, 12))
-    parser.add_argument("--runs", type=Path, default=ROOT / "frame-rates-out")
+    parser = parser_with_seeds(__doc__, seeds=(30,))
     options = parser.parse_args()
     rows, columns = [], ("image", "online", "hindsight", "image_m", "online_m", "reliable", "missed")
     for split in SPLITS:
         for rate in RATES_HZ:
             by_seed = [
                 cached_json(
-                    RESULTS / "frame_rates" / f"{split}-{rate}-{seed}.json",
-                    partial(measured, split, seed, rate, options.runs),
+                    RUNS / "frame_rates" / f"{split}-{rate}-{seed}.json",
+                    partial(measured, split, seed, rate, RUNS / "frame_rates"),
                 )
                 for seed in options.seeds
             ]

@@ -14,13 +14,15 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch
 
 import numpy as np
-from common import DATA, REDKITCHEN, ROOT, cached_json, parser_with_seeds, write_table
+from common import DATA, REDKITCHEN, RUNS, cached_json, parser_with_seeds, write_table
+from joblib import Parallel, delayed
 from stream_row import peak_mb
 
 from conformodal.corridor import write_corridor
@@ -57,7 +59,9 @@ def measured(n_rooms: int, seed: int, runs: Path) -> dict[str, Any]:
     world, folder = join_recordings(recordings), runs / f"model-{n_rooms}-{seed}"
     if not (folder / "costs.json").is_file():
         began = time.process_time()
-        model = train_model(world, ModelConfig(split="interleaved", seed=seed), cache=FeatureCache(None))
+        model = train_model(
+            world, ModelConfig(split="interleaved", seed=seed, features="xfeat"), cache=FeatureCache(None)
+        )
         costs = {"train_cpu_s": time.process_time() - began, "peak_mb": peak_mb()}
         save_model(model, folder)
         (folder / "costs.json").write_text(json.dumps(costs), encoding="utf-8")
@@ -84,7 +88,7 @@ def measured(n_rooms: int, seed: int, runs: Path) -> dict[str, Any]:
 def main() -> None:
     parser = parser_with_seeds(__doc__, seeds=(30,))
     parser.add_argument("--rooms", type=int, nargs="+", default=[1, 2, 4])
-    parser.add_argument("--runs", type=Path, default=ROOT / "growth-out")
+    parser.add_argument("--runs", type=Path, default=RUNS / "growth")
     parser.add_argument("--row", action="store_true", help="measure one world in this process")
     options = parser.parse_args()
     options.runs.mkdir(parents=True, exist_ok=True)
@@ -97,9 +101,11 @@ def main() -> None:
         finished = subprocess.run([str(word) for word in words], stdout=subprocess.PIPE, text=True, check=True)
         return json.loads(finished.stdout.splitlines()[-1])
 
+    def world(n: int) -> list[Any]:
+        return [cached_json(options.runs / f"{n}-{seed}.json", partial(row, n, seed)) for seed in options.seeds]
+
     rows, results = [], []
-    for n in options.rooms:
-        each = [cached_json(options.runs / f"{n}-{seed}.json", lambda n=n, s=seed: row(n, s)) for seed in options.seeds]
+    for n, each in zip(options.rooms, Parallel(2, prefer="threads")(map(delayed(world), options.rooms)), strict=True):
         mean = {key: np.mean([one[key] for one in each], axis=0) for key in each[0]}
         results.append(mean)
         lengths = ", ".join(f"{value:.1f}" for value in mean["length_mm"])

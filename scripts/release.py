@@ -1,7 +1,8 @@
 """Try a release: ``python scripts/release.py VERSION``.
 
-Checks that the files that say the version agree, builds wheel and source distribution into ``dist``, and tries the
-wheel, which is built from the source distribution, in an empty environment. Nothing is tagged, pushed or uploaded.
+Checks that the files that say the version agree and that all tables of results are of today's source, builds wheel and
+source distribution into ``dist``, and tries the wheel, which is built from the source distribution, in an empty
+environment. Nothing is tagged, pushed or uploaded.
 Needs the packages ``build`` and ``hatchling``.
 """
 
@@ -112,6 +113,7 @@ def main(arguments: list[str] | None = None) -> int:
     asked = parser.parse_args(arguments)
     try:
         check_places(ROOT, asked.version)
+        run(sys.executable, ROOT / "benchmarks" / "quotes.py", "--release")
         wheel, _ = build(ROOT, ROOT / "dist")
         with tempfile.TemporaryDirectory() as scratch:
             check(environment(Path(scratch) / "env", wheel, offline=asked.offline), asked.version, Path(scratch))

@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from problems import Split
 
+from common import excess_risk  # isort: skip - problems makes it importable
+
 from conformodal.core.arrays import FloatArray
 
 
@@ -28,8 +30,8 @@ def one_interval(low: npt.ArrayLike, high: npt.ArrayLike) -> Sets:
     return Sets(len(a), keep, a[keep], b[keep])
 
 
-def measure(sets: Sets, split: Split, alpha: float) -> dict[str, float]:
-    """Coverage (also in the hardest quarter), size and components.
+def measure(sets: Sets, split: Split, alpha: float) -> dict[str, float | None]:
+    """Coverage (also in the hardest quarter, and how far it can be predicted), size and components.
 
     Size is length; for a target on a grid it is the grid values held, each counted as wide as its cell (half way to
     its neighbours), so that a set of single values is not called shorter than an interval that holds no more of them.
@@ -47,6 +49,7 @@ def measure(sets: Sets, split: Split, alpha: float) -> dict[str, float]:
     return {
         "covered": int(inside.sum()),
         "hardest quarter": float(inside[split.hardest].mean()),
+        "excess risk": excess_risk(split.X["test"], inside, alpha),
         "size": float(np.bincount(sets.rows, sizes, minlength=sets.n).mean()),
         "components": float(sets.rows.size / sets.n),
     }

@@ -20,7 +20,9 @@ from typing import Any
 import numpy as np
 import torch
 from measure import Sets, one_interval
+from ngboost import NGBRegressor
 from problems import Split
+from quantile_forest import RandomForestQuantileRegressor
 from sklearn.base import clone
 from sklearn.ensemble import (
     ExtraTreesRegressor,
@@ -117,8 +119,11 @@ def mapie_conditional(split: Split, alpha: float) -> Sets:
     return one_interval(intervals[:, 0, 0], intervals[:, 1, 0])
 
 
-def crepes_normalized(split: Split, alpha: float) -> Sets:
-    """crepes: residuals scaled by a difficulty learnt from cross-validated residuals of nearest neighbours."""
+def crepes_normalized(split: Split, alpha: float, *, cps: bool = False) -> Sets:
+    """crepes: residuals scaled by a difficulty learnt from cross-validated residuals of nearest neighbours.
+
+    With `cps` its conformal predictive system, between the quantiles alpha / 2 and 1 - alpha / 2.
+    """
     from crepes import WrapRegressor
     from crepes.extras import DifficultyEstimator
 
@@ -129,8 +134,8 @@ def crepes_normalized(split: Split, alpha: float) -> Sets:
     difficulty = DifficultyEstimator()
     difficulty.fit(X=X, residuals=residuals, k=25, scaler=True, beta=0.05)
     wrapped = WrapRegressor(best)
-    wrapped.calibrate(split.X["cal"], split.y["cal"], de=difficulty)
-    intervals = wrapped.predict_int(split.X["test"], confidence=1 - alpha)
+    wrapped.calibrate(split.X["cal"], split.y["cal"], de=difficulty, cps=cps, seed=split.seed)
+    intervals = wrapped.predict_int(split.X["test"], confidence=1 - alpha, seed=split.seed)
     return one_interval(intervals[:, 0], intervals[:, 1])
 
 
@@ -277,10 +282,12 @@ def r2ccp(split: Split, alpha: float) -> Sets:
 
 
 OURS, STACK, PROBE = "conformodal", "conformodal, stack", "crepes on conformodal's learner"
-# classifiers as the estimator, with scikit-learn's default settings; two on standardised inputs
-CLASSIFIERS: dict[str, Callable[[int], Any]] = {
+# other estimators, with their packages' default settings; two on standardised inputs
+LEARNERS: dict[str, Callable[[int], Any]] = {
     "conformodal, random forest": lambda seed: RandomForestClassifier(random_state=seed),
     "conformodal, tree": lambda seed: DecisionTreeClassifier(random_state=seed),
+    "conformodal, quantile-forest": lambda seed: RandomForestQuantileRegressor(random_state=seed),
+    "conformodal, NGBoost": lambda seed: NGBRegressor(random_state=seed, verbose=False),
     "conformodal, k-NN": lambda seed: make_pipeline(StandardScaler(), KNeighborsClassifier()),
     "conformodal, logistic regression": lambda seed: make_pipeline(StandardScaler(), LogisticRegression(max_iter=300)),
 }
@@ -288,13 +295,14 @@ PEERS: dict[str, Callable[[Split, float], Sets]] = {
     "MAPIE CQR, boosting": mapie_cqr_boosting,
     "MAPIE conditional": mapie_conditional,
     "crepes, normalised": crepes_normalized,
+    "crepes, predictive system": partial(crepes_normalized, cps=True),
+    PROBE: crepes_on_our_learner,
     "TorchCP CQR": torchcp_cqr,
     "r2ccp": r2ccp,
 }
 METHODS: dict[str, Callable[[Split, float], Sets]] = {
     OURS: partial(conformodal, lambda seed: QuickDensity(random_state=seed)),
     STACK: partial(conformodal, lambda seed: StackedDensity(random_state=seed)),
-    **{name: partial(conformodal, make) for name, make in CLASSIFIERS.items()},
-    PROBE: crepes_on_our_learner,
+    **{name: partial(conformodal, make) for name, make in LEARNERS.items()},
     **PEERS,
 }

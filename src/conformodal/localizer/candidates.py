@@ -33,8 +33,8 @@ from .evidence import PoseMeasurement
 TARGET_NAMES = ("x", "y", "z", "q_w", "q_x", "q_y", "q_z")  # of a pose: position, and quaternion
 LEAST_VARIANCE = 1e-12  # m^2 and rad^2: a covariance can be inverted
 MOST = 48  # candidates of a frame
-# probability below which a candidate is dropped, unless it is the most probable one. Chosen on seeds 20 and 21
-# (benchmarks/results/choices.md): at 1e-4, frames without the true room make the corridor's path 4 times worse
+# probability below which a candidate is dropped, unless it is the most probable one. Chosen on seeds 20 and 21:
+# at 1e-4, frames without the true room make the corridor's path 4 times worse
 _LEAST_MASS = 1e-6
 # two peaks of a softmax are two modes where the probability between them falls below this share of the lower one
 _VALLEY_SHARE = 0.5
@@ -43,8 +43,8 @@ _VALLEY_SHARE = 0.5
 _NORM_SIGMA = 0.1
 _LEAST_PROBABILITY = 0.01  # of an inlier and of an outlier
 # Squared Mahalanobis distance (six degrees of freedom) up to which two estimates agree; of those that are right and
-# independent, 24 % are further apart. Larger: sources that err by more than they claim pull at better ones
-# (benchmarks/results/choices.md)
+# independent, 24 % are further apart. Larger: sources that err by more than they claim pull at better ones.
+# Chosen on seeds 20 and 21
 AGREE = 8.0
 
 Probabilities: TypeAlias = Sequence[RealArray]

@@ -23,7 +23,7 @@ from .candidates import Candidates
 _PLACE, PLACE_RAD = 0.1, 0.35
 # errors of relative rotations beside errors of hypotheses, over what pairs of images claim alone: rotations over
 # several frames share the errors of rolling shutters and lenses. Chosen on seeds 20 and 21 of redkitchen
-# `interleaved` (benchmarks/results/choices.md); one path of the corridor speaks for 1
+# `interleaved`; one path of the corridor speaks for 1
 _ROTATION_SIGMA_FACTOR = 2.0
 # statistics of motion are taken of every frame, every second, and so on: they differ by time step
 _DECIMATIONS = (1, 2, 4, 8, 16)

@@ -24,7 +24,7 @@ class QualitySettings:
     """What counts as sparse, fast and ambiguous. Shares are of the field of view, see :class:`ViewScale`."""
 
     # a view is sparsely covered where the nearest known one differs by more. Chosen on seeds 0 to 2 of redkitchen
-    # ``blocks``: of the limits tried, it tells errors over 0.1 m from others best (benchmarks/recording_quality.py)
+    # ``blocks``: of the limits tried, it tells errors over 0.1 m from others best
     sparse: float = 0.1
     # neighbouring frames that differ by more are far apart: corners leave the picture between them, and images blur.
     # Relative rotations were measured to half a degree with frames that differ by 0.12

@@ -1,0 +1,155 @@
+"""The worlds of the camera benchmarks, their models, which are trained once for all tables, and numbers of a run."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import DATA, REDKITCHEN, RUNS, rmse
+
+from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
+from conformodal.corridor import write_corridor
+from conformodal.features.extract import FeatureCache
+from conformodal.features.settings import TrainingConfig
+from conformodal.geometry import Trajectory
+from conformodal.io import Recording, read_recording
+from conformodal.localizer.candidates import pose_targets
+from conformodal.localizer.observations import same_place
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.estimates import OdometryRun
+from conformodal.pipeline.estimator import odometry_of
+from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.store import load_model, save_model
+from conformodal.pipeline.train import train_model
+
+ALPHA, FAR_M = 0.1, 0.3  # of regions; a large error
+CACHE = FeatureCache(RUNS / "cache")
+
+
+@dataclass(frozen=True)
+class World:
+    """What is mapped, and what is answered: the test part, or all frames of another recording."""
+
+    mapped: Path | None  # None: a rendered corridor
+    split: str
+    answered: Path | None = None
+
+
+WORLDS = {
+    "redkitchen, interleaved": World(REDKITCHEN, "interleaved"),
+    "redkitchen, blocks": World(REDKITCHEN, "blocks"),
+    "corridor, interleaved": World(None, "interleaved"),
+    "fr1_xyz from fr1_desk": World(DATA / "tum" / "fr1_desk", "blocks", DATA / "tum" / "fr1_xyz"),
+    "fr1_desk from fr1_xyz": World(DATA / "tum" / "fr1_xyz", "blocks", DATA / "tum" / "fr1_desk"),
+    "icl_living_room, blocks": World(DATA / "icl_living_room", "blocks"),
+}
+EVERY = ("head", "neighbours", "landmarks")
+# models of their own; the corridor's images are too small for XFeat to be better
+VARIANTS: dict[str, dict[str, Any]] = {
+    "ours": {},
+    "the other local features": {},
+    "without landmarks": {"sources": EVERY[:2], "features": "orb"},
+    "without neighbours": {"sources": EVERY[::2]},
+    "without the head": {"sources": EVERY[1:]},
+}
+
+
+def slug(name: str) -> str:
+    """A name as that of a file."""
+    return re.sub(r"[^a-z0-9]+", "-", name.lower())
+
+
+class Laboratory:
+    """Recordings and models of a world and a seed."""
+
+    def __init__(self, name: str, seed: int) -> None:
+        self.world, self.seed, self.folder = WORLDS[name], seed, RUNS / "worlds" / f"{slug(name)}-{seed}"
+
+    @cached_property
+    def mapped(self) -> Recording:
+        """What is mapped; a corridor is rendered first."""
+        folder = self.world.mapped or self.folder / "corridor"
+        if not folder.is_dir():
+            write_corridor(folder, n_modules=N_MODULES, n_laps=N_LAPS, seed=self.seed)
+        return read_recording(folder)
+
+    @cached_property
+    def answered(self) -> Recording:
+        """What is answered."""
+        return self.mapped if self.world.answered is None else read_recording(self.world.answered)
+
+    def config(self, variant: str) -> ModelConfig:
+        """The settings of a variant."""
+        rendered = self.world.mapped is None
+        training = replace(TRAINING, seed=self.seed) if rendered else TrainingConfig(seed=self.seed)
+        usual, other = ("orb", "xfeat") if rendered else ("xfeat", "orb")
+        features = other if variant == "the other local features" else usual
+        settings = {"split": self.world.split, "alpha": ALPHA, "seed": self.seed, "training": training}
+        if variant == "the paper's system":
+            return ModelConfig.paper(**settings)
+        return ModelConfig(**settings | {"features": features} | VARIANTS[variant])
+
+    def model(self, variant: str = "ours") -> PoseModel:
+        """The model of a variant, trained unless it is there."""
+        folder = self.folder / slug(variant)
+        if not (folder / "model.json").is_file():
+            save_model(train_model(self.mapped, self.config(variant), cache=CACHE), folder)
+        return load_model(folder)
+
+    def run(self, model: PoseModel, **changes: Any) -> OdometryRun:
+        """A model's answers; `changes` are those of the recording."""
+        frames = model.split.test if self.world.answered is None else self.answered.posed
+        return odometry_of(model).process(replace(self.answered, **changes), frames)
+
+    def truth(self, run: OdometryRun) -> Trajectory:
+        """True poses of the frames of a run."""
+        poses = self.answered.poses
+        assert poses is not None
+        return poses[np.searchsorted(self.answered.posed, run.frames)]
+
+
+def frame_by_frame(lab: Laboratory, run: OdometryRun) -> dict[str, dict[str, list[float]]]:
+    """Errors and regions of every frame, by what they rest on; an unbounded region has length -1."""
+    truth = lab.truth(run)
+    targets = pose_targets(truth, run.model.sign_reference)
+    alone = np.array([e.candidates.positions_xyz[np.argmax(e.candidates.log_mass)] for e in run.estimates])
+    positions = {"image alone": alone, **{name: path.positions_xyz for name, path in run.trajectories.items()}}
+    by_name: dict[str, dict[str, list[float]]] = {}
+    for name, regions in {"image alone": run.regions, **run.path_regions}.items():
+        bounded = ~regions.unbounded.any(axis=1)
+        by_name[name] = {
+            "held": regions.contains(targets, joint=True).tolist(),
+            "each": regions.contains(targets).mean(axis=1).tolist(),
+            "length_m": np.where(bounded, regions.length[:, :3].mean(axis=1), -1.0).tolist(),
+            "places": np.where(bounded, regions.n_places, 0).tolist(),
+        }
+    for name, xyz in positions.items():
+        by_name.setdefault(name, {})["off_m"] = np.linalg.norm(xyz - truth.positions_xyz, axis=1).tolist()
+    answer = by_name[run.answer]
+    answer["reliable"] = run.reliable.tolist()
+    elsewhere = ~same_place(run.trajectory, truth.positions_xyz, truth.orientations_quat_wxyz, run.model.prior)
+    answer["elsewhere"] = (run.reliable & elsewhere).tolist()
+    return by_name
+
+
+def summary(frames: dict[str, list[float]]) -> dict[str, float]:
+    """Statistics over the frames of one run."""
+    numbers: dict[str, float] = {}
+    if "off_m" in frames:
+        off = np.array(frames["off_m"])
+        numbers |= {"rmse_m": rmse(off), "median_m": float(np.median(off)), "far": float(np.mean(off > FAR_M))}
+    if "held" in frames:
+        lengths, held = np.array(frames["length_m"]), np.array(frames["held"])
+        bounded = lengths >= 0
+        numbers |= {
+            "bounded": float(bounded.mean()),
+            "coverage": float(held.mean()),
+            "of bounded": float(held[bounded].mean()),
+            "places": float(np.array(frames["places"])[bounded].mean()),
+            "length_m": float(np.median(lengths[bounded])),
+        }
+    return numbers | {key: float(np.mean(frames[key])) for key in ("reliable", "elsewhere") if key in frames}
