@@ -2,7 +2,7 @@
 
 python benchmarks/quotes.py [--write]     # check, or fill in the numbers of today's tables
 
-A mark is ``<!-- = recordings.md : fr1_xyz from fr1_desk / ours / online / rmse_m -->`` after the number: the table,
+A mark is ``<!-- = recordings.md : fr1_xyz from fr1_desk; ours; online; rmse_m -->`` after the number: the table,
 cells of its row, and the column; ``column #2`` is the second number of the cell. Of rows with these cells the first
 counts.
 """
@@ -39,7 +39,7 @@ def rows_of(table: str) -> list[dict[str, str]]:
 
 def cell_of(mark: re.Match[str]) -> float:
     """The number that a mark names; LookupError if there is none."""
-    *cells, column = (part.strip() for part in mark["cells"].split(" / "))
+    *cells, column = (part.strip() for part in mark["cells"].split("; "))
     name, _, place = column.partition(" #")
     for row in rows_of(mark["table"]):
         if name in row and all(cell in row.values() for cell in cells):

@@ -39,7 +39,7 @@ def ours(pair: str, seed: int, variant: str) -> Frames:
         image, began = lab.answered.image(i), time.process_time()
         odometry.step(image, lab.answered.timestamps_s[i])
         spent.append(time.process_time() - began)
-    frames["online"]["ms"] = 1e3 * float(np.mean(spent))
+    frames["image alone"]["ms"] = 1e3 * float(np.mean(spent))
     return frames
 
 

@@ -202,9 +202,9 @@ def table(results: list[dict[str, Any]]) -> list[str]:
     lines = []
     for (world, how, name), runs in pooled.items():
         cells = columns_of(runs)
-        frames = sum(run["frames"] for run in runs)
-        lines.append([world, how, f"{name} ({frames})", *(cells.get(column, "-") for column in COLUMNS)])
-    return table_lines(["world", "split, calibration", "frames answered", *COLUMNS], lines)
+        frames = str(sum(run["frames"] for run in runs))
+        lines.append([world, how, name, frames, *(cells.get(column, "") for column in COLUMNS)])
+    return table_lines(["world", "split, calibration", "frames", "n", *COLUMNS], lines)
 
 
 def draw(runs: dict[str, Any]) -> None:

@@ -41,15 +41,19 @@ def test_a_table_that_is_cited_is_of_a_clean_revision_in_the_history(table):
     assert not [r for r in revisions if git("merge-base", "--is-ancestor", r, "HEAD").returncode]
 
 
-def sections_of(name):
-    """Text of each section that cites a table."""
-    parts = re.split(r"^## (.+)$", text_of(ROOT / name), flags=re.MULTILINE)
-    return {f"{name}: {heading}": text for heading, text in zip(parts[1::2], parts[2::2], strict=True)}
+QUOTES = runpy.run_path(str(ROOT / "benchmarks" / "quotes.py"))
+CITING = {path.stem: text_of(path) for path in (DOCS / "decisions").glob("*.md")}
 
 
-CITING = sections_of("README.md") | sections_of("docs/results.md")
-CITING = {name: text for name, text in CITING.items() if TABLE.search(text)}
-CITING |= {path.stem: text_of(path) for path in (DOCS / "decisions").glob("*.md")}
+@pytest.mark.parametrize("page", QUOTES["PAGES"], ids=lambda page: page.name)
+def test_each_number_of_results_equals_the_cell_that_its_mark_names(tmp_path, page):
+    text, changed = text_of(page), tmp_path / page.name
+    mark = QUOTES["MARK"].search(text)
+    other = (int(text[mark.start() - 1]) + 5) % 10
+    assert not QUOTES["checked"](page)[1]
+    for wrong in (f"{text[: mark.start() - 1]}{other}{text[mark.start() :]}", text.replace(mark[0], "", 1)):
+        changed.write_text(wrong, encoding="utf-8")
+        assert QUOTES["checked"](changed)[1]
 
 
 def measured(markdown):
