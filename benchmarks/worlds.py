@@ -73,7 +73,7 @@ class Laboratory:
     def mapped(self) -> Recording:
         """What is mapped; a corridor is rendered first."""
         folder = self.world.mapped or self.folder / "corridor"
-        if not folder.is_dir():
+        if self.world.mapped is None and not (folder / "seq-01").is_dir():
             write_corridor(folder, n_modules=N_MODULES, n_laps=N_LAPS, seed=self.seed)
         return read_recording(folder)
 
