@@ -1,10 +1,10 @@
-"""Numbers that README and docs/results.md quote, each with a mark that names the cell of a table it is from.
+"""Numbers that pages quote, each with a mark that names the cell of a table it is from.
 
 python benchmarks/quotes.py [--write]     # check, or fill in the numbers of today's tables
 
 A mark is ``<!-- = recordings.md : fr1_xyz from fr1_desk; ours; online; rmse_m -->`` after the number: the table,
 cells of its row, and the column; ``column #2`` is the second number of the cell. Of rows with these cells the first
-counts.
+counts. ``one column + another`` are of the last two numbers before the mark.
 """
 
 from __future__ import annotations
@@ -16,10 +16,19 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
+DOCS = ROOT / "docs"
+PAGES = (
+    ROOT / "README.md",
+    DOCS / "results.md",
+    DOCS / "paper.md",
+    DOCS / "decisions" / "scores.md",
+    DOCS / "decisions" / "table-learners.md",
+    DOCS / "howto" / "groups-and-shift.md",
+)
 NUMBER = re.compile(r"(?<![\w.,-])\d+(?:\.\d+)?(?![\w.]*\w)")
+DECIMAL = re.compile(r"-?\d+(?:\.\d+)?")
 MARK = re.compile(r"<!-- = (?P<table>[\w/]+\.md) : (?P<cells>[^>]*?) -->")
-NOT_QUOTED = re.compile(r"```.*?```|`[^`\n]*`|\]\([^)]*\)|^#.*$", re.DOTALL | re.MULTILINE)
+NOT_QUOTED = re.compile(r"```.*?```|`[^`\n]*`|\]\([^)]*\)|^#[^\n]*", re.DOTALL | re.MULTILINE)
 
 
 def rows_of(table: str) -> list[dict[str, str]]:
@@ -37,14 +46,14 @@ def rows_of(table: str) -> list[dict[str, str]]:
     return rows
 
 
-def cell_of(mark: re.Match[str]) -> float:
-    """The number that a mark names; LookupError if there is none."""
-    *cells, column = (part.strip() for part in mark["cells"].split("; "))
-    name, _, place = column.partition(" #")
+def cells_of(mark: re.Match[str]) -> list[float]:
+    """The numbers that a mark names; LookupError if there are none."""
+    *cells, columns = (part.strip() for part in mark["cells"].split("; "))
+    names = [column.partition(" #")[::2] for column in columns.split(" + ")]
     for row in rows_of(mark["table"]):
-        if name in row and all(cell in row.values() for cell in cells):
-            return float(re.findall(r"-?\d+(?:\.\d+)?", row[name])[int(place or 1) - 1])
-    raise LookupError(f"{mark['table']} has no row with {cells} and a column {name!r}")
+        if all(name in row for name, _ in names) and all(cell in row.values() for cell in cells):
+            return [float(DECIMAL.findall(row[name])[int(place or 1) - 1]) for name, place in names]
+    raise LookupError(f"{mark['table']} has no row with {cells} and columns {columns!r}")
 
 
 def checked(page: Path) -> tuple[str, list[str]]:
@@ -54,15 +63,15 @@ def checked(page: Path) -> tuple[str, list[str]]:
         line = text.rfind("\n", 0, mark.start()) + 1
         before = list(NUMBER.finditer(text, line, mark.start()))
         try:
-            number = before[-1]
-            digits = len(number[0].partition(".")[2])
-            value = f"{cell_of(mark):.{digits}f}"
+            cells = cells_of(mark)
         except (LookupError, OSError) as exc:
             wrong.append(f"{page.name}: {mark[0]}: {exc}")
             continue
-        quoted.append((number.span(), value))
-        if value != number[0]:
-            wrong.append(f"{page.name}: {number[0]} where {mark['table']} has {value} ({mark['cells']})")
+        for number, cell in zip(before[-len(cells) :], cells, strict=True):
+            value = f"{cell:.{len(number[0].partition('.')[2])}f}"
+            quoted.append((number.span(), value))
+            if value != number[0]:
+                wrong.append(f"{page.name}: {number[0]} where {mark['table']} has {value} ({mark['cells']})")
     bare = text
     for (start, end), value in reversed(quoted):
         bare = bare[:start] + " " * (end - start) + bare[end:]

@@ -59,10 +59,10 @@ def short_guarantee(model: PoseModel) -> str:
         )
     what = f"guaranteed{' for each of its numbers alone' if rule.joint == 'none' else ''} in {asked} of "
     if rule.units_ is not None:
-        unit = "recording" if model.configuration.get("whole_recordings") else "stretch of the same recording"
+        unit = "recording" if model.configuration.get("whole_recordings") else "stretch of the same recording, no other"
         return f"{what}the frames of a new {unit}, on average over these"
     if model.frames_are_exchangeable:
-        return f"{what}frames drawn at random from the same recording"
+        return f"{what}frames drawn at random from the same recording, no other"
     return f"no guarantee of the {asked} asked for: random frames calibrate, and held-out stretches are unlike these"
 
 
