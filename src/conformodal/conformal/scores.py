@@ -148,10 +148,9 @@ def register_score(score: Score) -> Score:
 
 def resolve_score(score: str | Score) -> Score:
     """A score object for a name from :data:`SCORES`, or the object itself."""
-    if isinstance(score, str):
-        if score not in SCORES:
-            raise ConformodalError(f"score must be one of {sorted(SCORES)} or a Score object, got {brief(score)}")
+    if isinstance(score, str) and score in SCORES:
         return SCORES[score]
-    if isinstance(score, type) or not callable(getattr(score, "of_bins", None)):
-        raise ConformodalError(f"score must be a name or an object with of_bins(proba, widths), got {brief(score)}")
+    if isinstance(score, str | type) or not callable(getattr(score, "of_bins", None)):
+        names = ", ".join(sorted(SCORES))
+        raise ConformodalError(f"score must be {names}, or an object with of_bins(proba, widths), got {brief(score)}")
     return score
