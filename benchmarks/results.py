@@ -51,9 +51,9 @@ def start(name: str) -> subprocess.Popen[bytes]:
     """Begin a unit; its output goes to a file."""
     log = (RUNS / f"{name}.log").open("wb")
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    command = [sys.executable, *UNITS[name].words.split()]
+    command = [sys.executable, *f"benchmarks/{UNITS[name].words}".split()]
     settings = {**os.environ, **threads, "CONFORMODAL_RUNS": str(RUNS)}
-    return subprocess.Popen(command, cwd=ROOT / "benchmarks", env=settings, stdout=log, stderr=subprocess.STDOUT)
+    return subprocess.Popen(command, cwd=ROOT, env=settings, stdout=log, stderr=subprocess.STDOUT)
 
 
 def measure(left: list[str]) -> int:
