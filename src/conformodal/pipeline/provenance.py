@@ -29,7 +29,7 @@ def provenance() -> dict[str, Any]:
 def source_revision(root: Path) -> str | None:
     """Commit of the checkout in `root`, with ``-dirty`` if it was changed; None where there is none.
 
-    Results of benchmarks do not count: one that was just written says nothing against the next.
+    Results and pictures of benchmarks do not count: one that was just written says nothing against the next.
     """
     git = shutil.which("git")
     if git is None or not (root / ".git").exists():
@@ -40,5 +40,6 @@ def source_revision(root: Path) -> str | None:
         return subprocess.run(command, capture_output=True, text=True, check=False, timeout=10).stdout.strip()  # noqa: S603
 
     commit = answer("rev-parse", "--short=12", "HEAD")
-    changed = answer("diff", "--name-only", "HEAD", "--", ".", ":(exclude)benchmarks/results")
+    made = (":(exclude)benchmarks/results", ":(exclude)docs/images")
+    changed = answer("diff", "--name-only", "HEAD", "--", ".", *made)
     return f"{commit}-dirty" if commit and changed else commit or None
