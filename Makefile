@@ -50,7 +50,7 @@ check: test test-slow lint
 docs: $(DOCS)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
-# every table of benchmarks/results, from one revision without changes; data sets lie in $$CONFORMODAL_DATA
+# every table of benchmarks/results, from one revision without changes; data sets lie in $CONFORMODAL_DATA
 results: $(DEV)
 	$(BIN)/python -m pip install --quiet --no-deps -r benchmarks/peers/requirements.txt -r benchmarks/peers/recordings.txt
 	$(BIN)/python benchmarks/results.py

@@ -42,7 +42,7 @@ def source_digest() -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:12]
 
 
-# models and numbers, which other sources do not share; results.py says where its units are
+# Models and numbers, by the source that made them. results.py passes its folder on to the scripts that it starts
 RUNS = Path(os.environ.get("CONFORMODAL_RUNS", ROOT / "results-out" / source_digest()))
 
 

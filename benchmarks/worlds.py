@@ -37,21 +37,22 @@ class World:
     mapped: Path | None  # None: a rendered corridor
     split: str
     answered: Path | None = None
+    features: str = "xfeat"  # local ones; a corridor's images are too small for XFeat to be better
 
 
 WORLDS = {
     "redkitchen, interleaved": World(REDKITCHEN, "interleaved"),
     "redkitchen, blocks": World(REDKITCHEN, "blocks"),
-    "corridor, interleaved": World(None, "interleaved"),
+    "corridor, interleaved": World(None, "interleaved", features="orb"),
     "fr1_xyz from fr1_desk": World(DATA / "tum" / "fr1_desk", "blocks", DATA / "tum" / "fr1_xyz"),
     "fr1_desk from fr1_xyz": World(DATA / "tum" / "fr1_xyz", "blocks", DATA / "tum" / "fr1_desk"),
     "icl_living_room, blocks": World(DATA / "icl_living_room", "blocks"),
 }
 EVERY = ("head", "neighbours", "landmarks")
-# models of their own; the corridor's images are too small for XFeat to be better
-VARIANTS: dict[str, dict[str, Any]] = {
+OTHER_FEATURES = "the other local features"
+VARIANTS: dict[str, dict[str, Any]] = {  # models of their own
     "ours": {},
-    "the other local features": {},
+    OTHER_FEATURES: {},  # those that the world's model does not use
     "without landmarks": {"sources": EVERY[:2], "features": "orb"},
     "without neighbours": {"sources": EVERY[::2]},
     "without the head": {"sources": EVERY[1:]},
@@ -84,10 +85,10 @@ class Laboratory:
 
     def config(self, variant: str) -> ModelConfig:
         """The settings of a variant."""
-        rendered = self.world.mapped is None
-        training = replace(TRAINING, seed=self.seed) if rendered else TrainingConfig(seed=self.seed)
-        usual, other = ("orb", "xfeat") if rendered else ("xfeat", "orb")
-        features = other if variant == "the other local features" else usual
+        training = replace(TRAINING if self.world.mapped is None else TrainingConfig(), seed=self.seed)
+        features = self.world.features
+        if variant == OTHER_FEATURES:
+            features = "orb" if features == "xfeat" else "xfeat"
         settings = {"split": self.world.split, "alpha": ALPHA, "seed": self.seed, "training": training}
         if variant == "the paper's system":
             return ModelConfig.paper(**settings)
@@ -123,7 +124,6 @@ def frame_by_frame(lab: Laboratory, run: OdometryRun) -> dict[str, dict[str, lis
         bounded = ~regions.unbounded.any(axis=1)
         by_name[name] = {
             "held": regions.contains(targets, joint=True).tolist(),
-            "each": regions.contains(targets).mean(axis=1).tolist(),
             "length_m": np.where(bounded, regions.length[:, :3].mean(axis=1), -1.0).tolist(),
             "places": np.where(bounded, regions.n_places, 0).tolist(),
         }

@@ -35,7 +35,7 @@ class Projection:
 def fit_projection(features: Float32Array, n_components: int | None, view: slice = slice(None)) -> Projection:
     """Principal components of standardised features (n, F), scaled together to a mean variance of one.
 
-    They are not whitened, so that a network and dropout see how much each matters. They save time in training, no more.
+    They are not whitened, so that a network and dropout see how much each matters. They make training faster.
     At most n - 1 and F are computed; None keeps all features. Those that are not in the `view` get weight zero.
     """
     offset = features.mean(axis=0)

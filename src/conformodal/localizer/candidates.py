@@ -43,8 +43,7 @@ _VALLEY_SHARE = 0.5
 _NORM_SIGMA = 0.1
 _LEAST_PROBABILITY = 0.01  # of an inlier and of an outlier
 # Squared Mahalanobis distance (six degrees of freedom) up to which two estimates agree; of those that are right and
-# independent, 24 % are further apart. Larger: sources that err by more than they claim pull at better ones.
-# Chosen on seeds 20 and 21
+# independent, 24 % are further apart. Chosen on seeds 20 and 21: beyond, sources that err by more pull at better ones
 AGREE = 8.0
 
 Probabilities: TypeAlias = Sequence[RealArray]

@@ -14,6 +14,7 @@ from conformodal.localizer.regions import EvidenceType
 from .model import PoseModel
 
 N_NEW = 1000
+_NOT_ELSEWHERE = "; nothing is guaranteed for another recording"
 WHERE = {
     EvidenceType.GLOBAL: "in all images",
     EvidenceType.UNMATCHED: "where landmarks recognise no place",
@@ -59,10 +60,11 @@ def short_guarantee(model: PoseModel) -> str:
         )
     what = f"guaranteed{' for each of its numbers alone' if rule.joint == 'none' else ''} in {asked} of "
     if rule.units_ is not None:
-        unit = "recording" if model.configuration.get("whole_recordings") else "stretch of the same recording, no other"
-        return f"{what}the frames of a new {unit}, on average over these"
+        if model.configuration.get("whole_recordings"):
+            return f"{what}the frames of a new recording, on average over these"
+        return f"{what}the frames of a new stretch of the same recording, on average over these{_NOT_ELSEWHERE}"
     if model.frames_are_exchangeable:
-        return f"{what}frames drawn at random from the same recording, no other"
+        return f"{what}frames drawn at random from the same recording{_NOT_ELSEWHERE}"
     return f"no guarantee of the {asked} asked for: random frames calibrate, and held-out stretches are unlike these"
 
 

@@ -25,7 +25,7 @@ _MIN_SHARE, _MIN_CORNERS = 0.3, 40  # a submap ends where a smaller share of its
 _MAX_SPAN = 60  # frames
 _MAX_CAMERAS = 9  # the anchor included; frames between these add little
 _MAX_CORNERS = 250  # that are triangulated
-# errors over what the residuals predict on redkitchen, fr1 and KITTI 06: rolling shutter and drift are common to all
+# errors over what the residuals predict (redkitchen, a corridor, KITTI 06): shutter and drift are common to all
 _POSITION_FACTOR, _ROTATION_FACTOR = 4.5, 35.0
 _WORST_SIGMA = 0.5  # predicted standard deviation over the longest distance, above which a submap is dropped
 _SIGMA_PX, _LEAST_RESIDUAL_PX = 0.5, 0.1  # of a corner

@@ -117,8 +117,7 @@ class CornerTracker:
 
     def _new_corners(self, image: UInt8Array, count: int) -> Float32Array:
         smaller = 2 if image.shape[1] >= _HALVED_FROM else 1
-        if smaller > 1:
-            image = np.asarray(cv2.resize(image, None, fx=1 / smaller, fy=1 / smaller, interpolation=cv2.INTER_AREA))
+        image = np.asarray(cv2.resize(image, None, fx=1 / smaller, fy=1 / smaller, interpolation=cv2.INTER_AREA))
         spacing = max(3.0, _SPACING * image.shape[1])
         free = np.full(image.shape, 255, np.uint8)
         for x, y in self._now / smaller:
@@ -126,8 +125,7 @@ class CornerTracker:
         corners = cv2.goodFeaturesToTrack(
             image, count, _QUALITY, spacing, mask=free, useHarrisDetector=True, k=_HARRIS_K
         )
-        if corners is None:
-            return np.empty((0, 2), np.float32)
+        corners = np.empty(0) if corners is None else corners
         # pixel centres are whole numbers, see PinholeCamera
         return np.asarray((corners.reshape(-1, 2) + 0.5) * smaller - 0.5, np.float32)
 

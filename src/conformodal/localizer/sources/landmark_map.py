@@ -28,11 +28,12 @@ _SPREAD = 0.05  # scene depths plus radians by which keyframes of a cluster diff
 _RADIUS = 0.5  # of a cluster, as a share of the scene's depth
 _MAX_DISTANCE_RATIO = 5.0  # descriptor distance of a cluster over that of the first
 MIN_INLIERS = 12  # of a pose
-# Matches of a keyframe, and their share, that agree with a pose by more than chance: 0 of keyframes of other places
+# Matches of a keyframe, and their share, that agree with a pose by more than chance; those of other places have none
 _AGREEING, _AGREEING_SHARE = 6, 0.1
 _MAX_REPROJECTION_PX = 6.0
-_RANSAC = {"max_reproj_error": _MAX_REPROJECTION_PX, "max_iterations": 300, "min_iterations": 50, "seed": 0}
-_RIVALS_ITERATIONS = 60  # at most, for a place that rivals a sure one: half of its matches would be right
+_RANSAC = {"max_reproj_error": _MAX_REPROJECTION_PX, "min_iterations": 50, "seed": 0}
+# Samples at most; of a place that rivals a sure one half of the matches would be right
+_SAMPLES, _SAMPLES_OF_RIVAL = 300, 60
 _REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 1.0, "max_iterations": 10}  # more take long and hardly move a pose
 _LEAST_RESIDUAL_PX = 0.5  # no corner is located more precisely
 # Keyframes whose deviations correct an estimate, weighted by one over their distance, to which this is added (scene
@@ -127,8 +128,8 @@ class LandmarkMap:
             first = self._matched(image, near[:1], matches)
             if any(self._agree(first, image, pose) for pose in guided):
                 continue
-            pairs = first if guided else self._matched(image, near, matches)
-            solution = self._solve(image, pairs, shown, rival=bool(guided))
+            pairs, samples = (first, _SAMPLES_OF_RIVAL) if guided else (self._matched(image, near, matches), _SAMPLES)
+            solution = self._solve(image, pairs, shown, samples)
             estimate = None if solution is None else self._measured(image, solution, shown)
             if solution is not None and estimate is not None:
                 estimates.append(estimate)
@@ -180,7 +181,7 @@ class LandmarkMap:
         apart = np.linalg.norm(poses[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
         return np.asarray(apart + np.arccos(np.clip(poses[:, :3, 2] @ T_world_pose[:3, 2], -1, 1)))
 
-    def _solve(self, image: LocalFeatures, pairs: IntArray, shown: BoolArray, *, rival: bool) -> _Solution | None:
+    def _solve(self, image: LocalFeatures, pairs: IntArray, shown: BoolArray, samples: int) -> _Solution | None:
         """The pose of an image from matches (m, 2) of corners and landmarks, some of them right."""
         # a corner that matches several keyframes is one observation
         alike, _ = alike_enough(image.descriptors[pairs[:, 0]], self.descriptors[pairs[:, 1]])
@@ -188,7 +189,7 @@ class LandmarkMap:
         points, pixels = self.points_xyz[landmarks].astype(np.float64), image.pixels[corners]
         if len(pixels) < MIN_INLIERS:
             return None
-        ransac = _RANSAC | {"max_iterations": _RIVALS_ITERATIONS} if rival else _RANSAC
+        ransac = _RANSAC | {"max_iterations": samples}
         pose, info = poselib.estimate_absolute_pose(pixels, points, self.camera.poselib(), ransac, _REFINEMENT)
         inliers = np.asarray(info["inliers"], dtype=np.bool_)
         if inliers.sum() < MIN_INLIERS:
