@@ -20,6 +20,8 @@ from conformodal.features.networks import limit_threads
 
 Result: TypeAlias = dict[str, Any]
 
+_RETRIES = 3  # of a task on Ray whose worker is lost
+
 
 class ExperimentError(ConformodalError):
     """An experiment whose parts do not fit together."""
@@ -104,7 +106,8 @@ def run_tasks(
     yields = "generator_unordered"
     if engine is Engine.RAY:
         threads, yields = 1, "list"  # the CPU that a worker asked for; joblib gets no generator from Ray
-        options |= {"backend": "ray", "n_jobs": workers or -1}
+        lost = {"max_restarts": _RETRIES, "max_task_retries": _RETRIES}
+        options |= {"backend": "ray", "n_jobs": workers or -1, "ray_remote_args": lost}
     if missing:
         with _on_ray(address) if engine is Engine.RAY else nullcontext(), parallel_config(**options):
             jobs = (delayed(_finish)(work, i, tasks[i], paths[i], threads) for i in missing)

@@ -1,4 +1,5 @@
 import os
+import signal
 import time
 from math import sqrt
 
@@ -6,6 +7,7 @@ import joblib
 import pytest
 from threadpoolctl import threadpool_info
 
+from conformodal.core.errors import ConformodalError
 from conformodal.core.parallel import in_threads, in_workers
 
 
@@ -59,3 +61,32 @@ def test_workers_are_those_of_joblib_and_give_the_same(workers):
         assert (os.getpid() in in_workers(lambda _: os.getpid(), range(3))) == (workers == 1)
         with pytest.raises(ValueError, match=r"math domain|expected a nonnegative"):
             in_workers(sqrt, [1, -1])
+
+
+def killed_once(mark):
+    def work(item):
+        if item == 2 and not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return item, os.getpid()
+
+    return work
+
+
+def test_a_process_that_is_killed_is_named(tmp_path):
+    with joblib.parallel_config(n_jobs=2), pytest.raises(ConformodalError, match="a worker process was killed"):
+        in_workers(killed_once(tmp_path / "killed"), range(6))
+
+
+@pytest.mark.slow
+def test_ray_does_again_what_a_killed_worker_was_at(tmp_path):
+    """As docs/howto/many-recordings.md has it."""
+    ray, register_ray = pytest.importorskip("ray"), pytest.importorskip("ray.util.joblib").register_ray
+    again = {"max_restarts": 3, "max_task_retries": 3}
+    with ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False):
+        register_ray()
+        with joblib.parallel_config(backend="ray", n_jobs=2, ray_remote_args=again):
+            results = in_workers(killed_once(tmp_path / "killed"), range(6))
+    assert (tmp_path / "killed").exists()
+    assert [item for item, _ in results] == list(range(6))
+    assert os.getpid() not in {process for _, process in results}

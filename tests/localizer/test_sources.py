@@ -16,6 +16,7 @@ from conformodal.localizer.sources.head import HeadSource
 from conformodal.localizer.sources.registry import SourceAnswer, SourceState, find_source, register_source
 from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.store import ModelFileError, load_model, save_model
+from tests.localizer.conftest import Told
 from tests.small_model import small_model
 
 
@@ -72,31 +73,26 @@ def test_a_head_looks_at_its_own_frames_and_at_no_other(data_of, spoilt, wrong):
 
 
 @dataclass(frozen=True, eq=False)
-class MeanSource:
+class MeanSource(Told):
     """Says of every image that it was taken in the middle of all that it has seen."""
 
     name: ClassVar[str] = "mean-of-the-tests"
-    local: ClassVar[bool] = False
-
-    place: np.ndarray
-    frames: np.ndarray
-    probability: float
+    place: np.ndarray | None = None
 
     @classmethod
     def fit(cls, data, frames):
-        return cls(data.targets[frames].mean(axis=0), frames, 0.25)
+        return cls(frames, place=data.targets[frames].mean(axis=0))
 
     def answer(self, evidence):
         quat = self.place[3:] / np.linalg.norm(self.place[3:])
-        one = PoseMeasurement(self.place[:3], quat, 0.5, 0.5, 1, self.probability)
-        return SourceAnswer(measurements=[[one]] * len(evidence))
+        return SourceAnswer(measurements=[[PoseMeasurement(self.place[:3], quat, 0.5, 0.5, 1, 0.25)]] * len(evidence))
 
     def state(self):
-        return SourceState({"place": self.place, "frames": self.frames}, {"probability": self.probability})
+        return SourceState({"place": self.place, "frames": self.frames})
 
     @classmethod
     def from_state(cls, state):
-        return cls(state.arrays["place"], state.arrays["frames"], state.settings["probability"])
+        return cls(**state.arrays)
 
 
 def test_a_source_of_ones_own_is_fitted_believed_saved_and_loaded(data_of, tmp_path, monkeypatch):
@@ -109,9 +105,8 @@ def test_a_source_of_ones_own_is_fitted_believed_saved_and_loaded(data_of, tmp_p
     for mixture in beliefs.mixtures:
         own, masses = mixture.candidates.positions_xyz[mixture.measured], np.exp(mixture.candidates.log_mass)
         np.testing.assert_array_equal(own, data.targets[frames, :3].mean(axis=0)[None])
-        assert masses[~mixture.measured].sum() / masses.sum() == pytest.approx(
-            0.75, rel=1e-2
-        )  # but for modes too improbable to keep
+        # but for modes too improbable to keep
+        assert masses[~mixture.measured].sum() / masses.sum() == pytest.approx(0.75, rel=1e-2)
     model = small_model()
     localizer = replace(model.localizer, sources=(model.localizer.sources[0], localizer.sources[1]))
     features = np.random.default_rng(0).normal(size=(5, model.backbone.n_features))

@@ -31,16 +31,7 @@ from conformodal.quality.advice import advice, describe_size, numbers, quality_r
 from conformodal.quality.examining import examine
 
 from .console import OUTPUT_PANEL, OptionError, Quiet, Verbose, print_where, progress_bars, report_line
-from .sources import (
-    DATA_PANEL,
-    AllData,
-    Cache,
-    DataLayout,
-    Focal,
-    cache_folder,
-    open_sequences,
-    was_given,
-)
+from .sources import DATA_PANEL, AllData, Cache, DataLayout, Focal, cache_folder, open_sequences, was_given
 
 _data, _model, _calibration = (
     partial(typer.Option, rich_help_panel=panel) for panel in (DATA_PANEL, "Model", "Calibration")

@@ -13,8 +13,10 @@ from threading import Event
 from typing import TypeVar
 
 from joblib import Parallel, cpu_count, delayed
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 from threadpoolctl import ThreadpoolController
 
+from .errors import ConformodalError
 from .progress import Progress
 
 Item = TypeVar("Item")
@@ -55,13 +57,19 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: 
 
 def in_workers(work: Callable[[Item], Result], items: Sequence[Item], progress: Progress | None = None) -> list[Result]:
     """As :func:`in_threads`, by the workers of :func:`joblib.parallel_config` if there are any."""
-    workers, results = Parallel(return_as="generator"), list[Result]()
+    try:
+        workers, results = Parallel(return_as="generator", batch_size=1), list[Result]()
+    except ValueError:  # Ray's backend has no generator: progress comes at the end
+        workers, results = Parallel(batch_size=1), []
     if workers.n_jobs == 1:
         return in_threads(work, items, progress)
-    for result in workers(delayed(_alone)(work, item) for item in items):
-        results.append(result)
-        if progress is not None:
-            progress(len(results), len(items))
+    try:
+        for result in workers(delayed(_alone)(work, item) for item in items):
+            results.append(result)
+            if progress is not None:
+                progress(len(results), len(items))
+    except TerminatedWorkerError:
+        raise ConformodalError("a worker process was killed, perhaps for its memory: take fewer workers") from None
     return results
 
 
