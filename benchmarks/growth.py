@@ -21,7 +21,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch
 
 import numpy as np
-from common import DATA, REDKITCHEN, RUNS, cached_json, parser_with_seeds, write_table
+from common import DATA, REDKITCHEN, RUNS, cached_json, new_axes, parser_with_seeds, save_picture, write_table
 from joblib import Parallel, delayed
 from stream_row import peak_mb
 
@@ -36,6 +36,7 @@ from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import train_model
 
 APART_M = 20.0
+DRAWN = {"train_cpu_s": "training, CPU", "frame_ms": "frame, CPU", "model_mb": "model", "median_mm": "median error"}
 ROOMS: tuple[list[str], ...] = ([str(REDKITCHEN)], [str(DATA / "tum" / name) for name in ("fr1_desk", "fr1_xyz")])
 
 
@@ -85,6 +86,16 @@ def measured(n_rooms: int, seed: int, runs: Path) -> dict[str, Any]:
     }
 
 
+def draw(rooms: list[int], results: list[dict[str, Any]]) -> None:
+    """Costs and error over the size of the world, in units of those in the smallest."""
+    figure, axis = new_axes("growth", (5.2, 3.0))
+    for key, label in DRAWN.items():
+        axis.plot(rooms, [one[key] / results[0][key] for one in results], "o-", label=label)
+    axis.set(xlabel="rooms", ylabel="ratio to one room", xticks=rooms, ylim=(0, None))
+    axis.legend(frameon=False)
+    save_picture(figure, "growth")
+
+
 def main() -> None:
     parser = parser_with_seeds(__doc__, seeds=(30,))
     parser.add_argument("--rooms", type=int, nargs="+", default=[1, 2, 4])
@@ -130,6 +141,7 @@ def main() -> None:
     header += ["length, mm", "coverage"]
     seeds, rooms = (" ".join(map(str, numbers)) for numbers in (options.seeds, options.rooms))
     command = f"python benchmarks/growth.py --seeds {seeds} --rooms {rooms}"
+    draw(options.rooms, results)
     write_table("growth", "A room in a larger world", command, header, rows, note)
 
 

@@ -110,8 +110,8 @@ def _writer(out: Path) -> Iterator[Any]:
         """Lists as JSON, in which infinite ends are null."""
         for j, field in enumerate(table.schema):
             if pa.types.is_list(field.type):
-                texts = [_as_json(row) for row in table[j].to_pylist()]
-                table = table.set_column(j, field.name, [texts])
+                rows = [[{k: finite_or_none(v) for k, v in one.items()} for one in row] for row in table[j].to_pylist()]
+                table = table.set_column(j, field.name, [[json.dumps(row) for row in rows]])
         return table
 
     with replacing(out) as part:
@@ -129,7 +129,3 @@ def _writer(out: Path) -> Iterator[Any]:
         finally:
             if writer is not None:
                 writer.close()
-
-
-def _as_json(intervals: list[dict[str, float]]) -> str:
-    return json.dumps([{name: finite_or_none(value) for name, value in one.items()} for one in intervals])
