@@ -95,7 +95,7 @@ def uncalibrated_camera(folder: Path | str, size: Size, focal: float | None, not
     if focal is None:
         what = f"no camera is known for {size[0]}x{size[1]} pixels"
         raise DatasetError(f"{folder}: {what}; write its 3x3 matrix into {INTRINSICS}, or give --focal")
-    where = f"{folder}: {focal:.0f} pixels, as given; without distortion, and the middle as principal point"
+    where = f"{folder}: focal length of {focal:.0f} pixels; without distortion, and the middle as principal point"
     notes.append(Note("the camera is not calibrated", where))
     return camera_of(f"{folder}: focal length", (focal, focal, size[0] / 2, size[1] / 2), size, notes=notes)
 
