@@ -57,9 +57,7 @@ def measured(name: str, seed: int) -> dict[str, dict[str, Any]]:
     bins = QuantileBins(200, margin=0.02).fit(y[train])
     density = QuickDensity(random_state=seed).fit_bins(X[train], y[train], bins.edges_[0])
     proba_cal, proba = density.predict_proba(X[cal]), density.predict_proba(X[test])
-    combined = [tuple(row) for row in groups.tolist()]
-    labels = np.empty(len(combined), dtype=object)
-    labels[:] = combined
+    labels = np.unique(groups, axis=0, return_inverse=True)[1].ravel()  # of the combination of groups
     how = bins, ALPHA, "density"
     regions = {
         METHODS[0]: SplitConformal(*how).calibrate(proba_cal, y[cal]).predict(proba),

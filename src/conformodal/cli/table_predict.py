@@ -42,6 +42,8 @@ def predict(
     reg = ConformalRegressor.load(model)
     how = getattr(reg, "file_format_", {})
     names, n_rows, chunks = _open(file, reg, CsvFormat("\t" if sep == r"\t" else sep, **how.get("csv", {})))
+    if not n_rows:
+        raise TableError(f"{file}: holds no rows")
     with _naming(file):
         needed = input_columns(reg, names)
     copied = [name for name in how.get("identifiers", ()) if name in names]

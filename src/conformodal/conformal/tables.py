@@ -10,7 +10,6 @@ from threadpoolctl import threadpool_limits
 from conformodal.core.arrays import BoolArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
-from conformodal.core.parallel import in_threads
 
 from .checks import Alpha, BinProbabilities, blocks, brief
 from .density.encoder import is_time, numpy_columns
@@ -58,20 +57,19 @@ def as_inputs(reg: ConformalRegressor, table: Any) -> Any:
 
 
 def region_table(reg: ConformalRegressor, table: Any, alpha: Alpha | None) -> Any:
-    """See :meth:`ConformalRegressor.predict_table`; in blocks of rows, which threads share and memory bounds."""
-    with require_extra("arrow", "predict_table"):
+    """See :meth:`ConformalRegressor.predict_table`; rows are answered in blocks, so that memory stays bounded."""
+    with require_extra("table", "predict_table"):
         import pyarrow as pa  # noqa: PLC0415 - an extra
-    frame = as_inputs(reg, table)
-    inputs = frame[reg.columns_]
+
+        frame = as_inputs(reg, table)
+    inputs, parts = frame[reg.columns_], []
     unlike = reg.compare_rows(inputs)
-
-    def answer(rows: slice) -> Any:
-        with threadpool_limits(1, "openmp"):  # else trees wait for each other
+    with threadpool_limits(1, "openmp"):  # on blocks of this size, threads of trees wait more than they work
+        for rows in [*blocks(len(frame))] or [slice(0, 0)]:
             proba = reg.proba_of(inputs.iloc[rows])
-        labels = None if reg.group_column_ is None else frame[reg.group_column_].iloc[rows]
-        return _arrow_table(reg, proba, reg.regions_of(proba, unlike[rows], alpha, labels))
-
-    result = pa.concat_tables(in_threads(answer, [*blocks(len(frame))] or [slice(0, 0)]))
+            labels = None if reg.group_column_ is None else frame[reg.group_column_].iloc[rows]
+            parts.append(_arrow_table(reg, proba, reg.regions_of(proba, unlike[rows], alpha, labels)))
+    result = pa.concat_tables(parts)
     if hasattr(table, "iloc"):
         return result.to_pandas().set_index(table.index)
     return result if hasattr(table, "column_names") else type(table)(result)  # of Arrow, of polars

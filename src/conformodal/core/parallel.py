@@ -13,7 +13,7 @@ from threading import Event
 from typing import TypeVar
 
 from joblib import Parallel, cpu_count, delayed
-from joblib.externals.loky.process_executor import TerminatedWorkerError
+from joblib.externals.loky.process_executor import BrokenProcessPool
 from threadpoolctl import ThreadpoolController
 
 from .errors import ConformodalError
@@ -59,7 +59,7 @@ def in_workers(work: Callable[[Item], Result], items: Sequence[Item], progress: 
     """As :func:`in_threads`, by the workers of :func:`joblib.parallel_config` if there are any."""
     try:
         workers, results = Parallel(return_as="generator", batch_size=1), list[Result]()
-    except ValueError:  # Ray's backend has no generator: progress comes at the end
+    except ValueError:  # the backend, as Ray's, has no generator: progress comes at the end
         workers, results = Parallel(batch_size=1), []
     if workers.n_jobs == 1:
         return in_threads(work, items, progress)
@@ -68,7 +68,7 @@ def in_workers(work: Callable[[Item], Result], items: Sequence[Item], progress: 
             results.append(result)
             if progress is not None:
                 progress(len(results), len(items))
-    except TerminatedWorkerError:
+    except BrokenProcessPool:
         raise ConformodalError("a worker process was killed, perhaps for its memory: take fewer workers") from None
     return results
 

@@ -114,16 +114,17 @@ class LandmarkMap:
     def localize(
         self, image: LocalFeatures, hidden: BoolArray | None = None, matches: dict[int, IntArray] | None = None
     ) -> list[PoseMeasurement]:
-        """Absolute pose estimates of an image: one PnP hypothesis for each of the similar retrieval clusters.
+        """Absolute pose estimates of an image: at most one PnP hypothesis for each of the similar retrieval clusters.
 
-        Standard deviations come from the reprojection residuals and the scatter of the corrections, up to a factor that
-        :class:`~conformodal.localizer.evidence.ErrorModel` learns. Keyframes in `hidden` (n,) are left out.
-        `matches` caches those of the image by keyframe.
+        Once a second matching has confirmed a pose, clusters of its place are left out; rivals are solved from their
+        first keyframe alone. Standard deviations come from the reprojection residuals and the scatter of the
+        corrections, up to a factor that :class:`~conformodal.localizer.evidence.ErrorModel` learns. Keyframes in
+        `hidden` (n,) are left out. `matches` caches those of the image by keyframe.
         """
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
         matches, image = {} if matches is None else matches, image.at_pose_time(self.shutter, self.camera)
         estimates: list[PoseMeasurement] = []
-        guided: list[FloatArray] = []  # the poses of those that all keyframes near them support
+        guided: list[FloatArray] = []  # the poses that a second matching has confirmed
         for near in self._retrieve(image.global_descriptor, shown):
             first = self._matched(image, near[:1], matches)
             if any(self._agree(first, image, pose) for pose in guided):

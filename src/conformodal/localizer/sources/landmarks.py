@@ -102,7 +102,7 @@ class LandmarkSource:
         return None if errors is None else cls(landmarks, frames, errors, grid)
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
-        """One estimate per retrieval cluster; none for images without local features."""
+        """At most one estimate per retrieval cluster; none for images without local features."""
         images = evidence.local_features
         if not images:
             return SourceAnswer(measurements=[[] for _ in range(len(evidence))])
