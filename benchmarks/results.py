@@ -32,15 +32,15 @@ class Unit:
 
 
 UNITS = {
-    "cameras": Unit("cameras.py", 50, 2),
-    "recordings": Unit("recordings.py", 8, 1, ("cameras",)),
-    "unseen": Unit("unseen.py --seeds 30", 10),
-    "frame_rates": Unit("frame_rates.py", 10),
+    "cameras": Unit("cameras.py", 45, 2),
+    "recordings": Unit("recordings.py", 14, 1, ("cameras",)),
+    "unseen": Unit("unseen.py --seeds 30", 14),
+    "frame_rates": Unit("frame_rates.py", 12),
     "landmarks": Unit("landmarks.py", 8),
     "relative_motion": Unit("relative_motion.py", 4),
     "joint": Unit("joint.py", 4),
     "conditional": Unit("conditional.py", 2),
-    "peers": Unit("peers/run.py --measure", 30, 2),
+    "peers": Unit("peers/run.py --measure --seeds 30 31", 35, 2),
     "growth": Unit("growth.py", 12, 2),
     "table1": Unit("table1.py --seeds 1 --first-seed 30", 28, 2),
     "streaming": Unit("streaming.py", 8, 2),  # timings: nothing beside it
