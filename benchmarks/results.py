@@ -40,7 +40,7 @@ UNITS = {
     "relative_motion": Unit("relative_motion.py", 4),
     "joint": Unit("joint.py", 4),
     "conditional": Unit("conditional.py", 2),
-    "peers": Unit("peers/run.py --measure --seeds 30 31", 35, 2),
+    "peers": Unit("peers/run.py --measure", 35, 2),
     "growth": Unit("growth.py", 12, 2),
     "table1": Unit("table1.py --seeds 1 --first-seed 30", 28, 2),
     "streaming": Unit("streaming.py", 8, 2),  # timings: nothing beside it

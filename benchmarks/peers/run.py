@@ -106,7 +106,7 @@ def main() -> None:
     parser.add_argument("--measure", action="store_true", help="make the runs that are not there")
     parser.add_argument("--tables", nargs="*", default=list(TABLES))
     parser.add_argument("--methods", nargs="*", default=list(METHODS))
-    parser.add_argument("--seeds", nargs="*", type=int, default=list(SEEDS))
+    parser.add_argument("--seeds", nargs="*", type=int, default=list(SEEDS[:2]))  # three take an hour
     parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args()
     if args.measure:
