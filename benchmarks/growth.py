@@ -1,6 +1,6 @@
 """What a room costs, and how exactly it is localised, alone and beside other rooms in one world.
 
-python benchmarks/growth.py [--seeds 30] [--rooms 1 2 4] [--runs FOLDER]
+python benchmarks/growth.py [--seeds 30] [--rooms 1 2 4]
 
 The first room is redkitchen, the second fr1_desk with fr1_xyz, the others are rendered corridors with textures of their
 own, all brought to one camera and 20 m apart. Each world is a process of its own, on an empty cache; numbers are kept.
@@ -99,21 +99,20 @@ def draw(rooms: list[int], results: list[dict[str, Any]]) -> None:
 def main() -> None:
     parser = parser_with_seeds(__doc__, seeds=(30,))
     parser.add_argument("--rooms", type=int, nargs="+", default=[1, 2, 4])
-    parser.add_argument("--runs", type=Path, default=RUNS / "growth")
     parser.add_argument("--row", action="store_true", help="measure one world in this process")
-    options = parser.parse_args()
-    options.runs.mkdir(parents=True, exist_ok=True)
+    options, runs = parser.parse_args(), RUNS / "growth"
+    runs.mkdir(parents=True, exist_ok=True)
     if options.row:
-        print(json.dumps(measured(options.rooms[0], options.seeds[0], options.runs)))
+        print(json.dumps(measured(options.rooms[0], options.seeds[0], runs)))
         return
 
     def row(n_rooms: int, seed: int) -> Any:
-        words = [sys.executable, __file__, "--row", "--rooms", n_rooms, "--seeds", seed, "--runs", options.runs]
-        finished = subprocess.run([str(word) for word in words], stdout=subprocess.PIPE, text=True, check=True)
+        words = [sys.executable, __file__, "--row", "--rooms", str(n_rooms), "--seeds", str(seed)]
+        finished = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
         return json.loads(finished.stdout.splitlines()[-1])
 
     def world(n: int) -> list[Any]:
-        return [cached_json(options.runs / f"{n}-{seed}.json", partial(row, n, seed)) for seed in options.seeds]
+        return [cached_json(runs / f"{n}-{seed}.json", partial(row, n, seed)) for seed in options.seeds]
 
     rows, results = [], []
     for n, each in zip(options.rooms, Parallel(2, prefer="threads")(map(delayed(world), options.rooms)), strict=True):
@@ -125,17 +124,13 @@ def main() -> None:
         rows.append([str(n), f"{mean['frames']:.0f}", *costs, *quality, f"{mean['coverage']:.3f}"])
         print(rows[-1], flush=True)
     sizes = np.log([mean["frames"] for mean in results])
-    slopes = {
-        key: np.polyfit(sizes, np.log([mean[key] for mean in results]), 1)[0]
-        for key in ("train_cpu_s", "peak_mb", "model_mb", "frame_ms", "median_mm")
-        if len(results) > 1
-    }
+    slopes = {key: np.polyfit(sizes, np.log([one[key] for one in results]), 1)[0] for key in (*DRAWN, "peak_mb")}
     grown = "; ".join(f"{key} {slope:.2f}" for key, slope in slopes.items())
     note = (
         f"Split interleaved, seeds {', '.join(map(str, options.seeds))}. CPU seconds of training from images on, and "
         "peak memory. CPU per frame of a run, with reading of images. Errors online, lengths of regions in x, y and z, "
         f"and coverage are those of the first room, {results[0]['tested']:.0f} frames or so, nominal 0.90. Growth "
-        f"with the number of frames, as exponents: {grown or 'not measured'}."
+        f"with the number of frames, as exponents: {grown}."
     )
     header = ["rooms", "frames", "training, CPU s", "peak, MB", "model, MB", "frame, ms", "median, mm", "RMSE, mm"]
     header += ["length, mm", "coverage"]

@@ -1,6 +1,6 @@
 """Milliseconds per frame, memory and seconds to the first answer: one core and two, 640x480 and 1280x720.
 
-python benchmarks/streaming.py [--frames 300]
+python benchmarks/streaming.py
 
 Each row is a process of its own, kept to its cores, that knows a saved model and images on disk and nothing else.
 """
@@ -26,6 +26,7 @@ from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.store import save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
 
+FRAMES = 300
 SIZES = {"640x480": (640, 480), "1280x720": (1280, 720)}
 EVERY = ("head", "neighbours", "landmarks")
 MODES = ((EVERY, "orb"), (EVERY, "xfeat"), (EVERY[:2], "orb"))  # pose sources and local features
@@ -75,9 +76,7 @@ def stream_costs(model: Path, images: list[str], cores: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = parser_of(__doc__)
-    parser.add_argument("--frames", type=int, default=300)
-    options = parser.parse_args()
+    parser_of(__doc__).parse_args()
     sequence = read_recording(REDKITCHEN)
     header = ["image", "pose sources", "local features", "cores", "median, ms", "99th percentile, ms"]
     header += ["frames per second", "network needed", "first answer, s", "resident, MB", "ms per frame, by part"]
@@ -85,7 +84,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         for name, size in SIZES.items():
             recording = enlarged(sequence, size, Path(scratch) / name)
-            images = [str(path) for path in recording.image_paths[: options.frames]]
+            images = [str(path) for path in recording.image_paths[:FRAMES]]
             for sources, features in MODES:
                 model = train_briefly(recording, Path(scratch) / f"{name}-{len(sources)}{features}", sources, features)
                 for cores in (1, 2):
@@ -97,7 +96,7 @@ def main() -> None:
                     rows.append([*mode, *times, f"{costs['network']:.2f}", *others])
                     print(rows[-1], flush=True)
     note = (
-        f"{options.frames} consecutive frames of redkitchen, 10 of them to warm up, as a camera would give them at 30 "
+        f"{FRAMES} consecutive frames of redkitchen, 10 of them to warm up, as a camera would give them at 30 "
         "per second; 1280x720: enlarged and cropped. Time of a frame: from decoded image to pose and region; parts are "
         "within it, the rest is fusion, candidates and the novelty test. The network retrieves landmarks by ORB, so it "
         "counts in both parts; XFeat retrieves its own, and the network runs where no place is recognised. Network "

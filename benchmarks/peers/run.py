@@ -107,11 +107,10 @@ def main() -> None:
     parser.add_argument("--tables", nargs="*", default=list(TABLES))
     parser.add_argument("--methods", nargs="*", default=list(METHODS))
     parser.add_argument("--seeds", nargs="*", type=int, default=list(SEEDS[:2]))  # three take an hour
-    parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args()
     if args.measure:
         splits = ((table, args.methods, seed) for seed in args.seeds for table in args.tables)
-        Parallel(args.workers, batch_size=1)(delayed(measure_table)(*each) for each in splits)
+        Parallel(2, batch_size=1)(delayed(measure_table)(*each) for each in splits)
     runs = {table: {method: load(table, method) for method in METHODS} for table in TABLES}
     rows, best_rows = [], []
     relative: dict[str, list[float]] = {method: [] for method in METHODS}  # sizes over the default's, by table
