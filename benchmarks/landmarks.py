@@ -38,17 +38,17 @@ PARTS = [(KITCHEN, 0), *((DESK, third) for third in range(3))]
 FAR_M, ASKED = 0.3, 40  # a large error; images that are localised, of each part
 
 
-VARIANTS = {  # whether the network retrieves, the detector, and the size of images that it sees
-    "XFeat at 0.7 of the size": (False, "xfeat", 0.7),
-    "XFeat at full size": (False, "xfeat", 1.0),
-    "XFeat at half size": (False, "xfeat", 0.5),
-    "ORB": (True, "orb", 1.0),
+VARIANTS = {  # whether the network retrieves, the detector, and the pixels of images that XFeat sees
+    "XFeat at 0.7 of the size": (False, "xfeat", export.XFEAT_PIXELS),
+    "XFeat at full size": (False, "xfeat", 640 * 480),
+    "XFeat at half size": (False, "xfeat", 320 * 256),
+    "ORB": (True, "orb", 0),
 }
 
 
-def detector_of(name: str, scale: float, recording: Recording, cache: FeatureCache) -> Detector:
+def detector_of(name: str, pixels: int, recording: Recording, cache: FeatureCache) -> Detector:
     """A detector for the images of a recording."""
-    with patch.object(export, "XFEAT_SCALE", scale):
+    with patch.object(export, "XFEAT_PIXELS", pixels):
         return export.make_detector(name, recording.camera, cache)
 
 
@@ -78,8 +78,8 @@ def errors(source: str, target: str, third: int | None) -> dict[tuple[str, bool]
         for disturbed, query in queries.items()
     }
     results: dict[tuple[str, bool], tuple[FloatArray, float]] = {}
-    for name, (by_network, kind, scale) in VARIANTS.items():
-        detector = detector_of(kind, scale, mapped, cache)
+    for name, (by_network, kind, pixels) in VARIANTS.items():
+        detector = detector_of(kind, pixels, mapped, cache)
         images = [frame_features(mapped, i, detector) for i in frames.tolist()]
         if by_network:
             maps = at_unit_length(coarse_features(data.features[frames], grid))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
+from math import sqrt
 
 import numpy as np
 import torch
@@ -22,7 +23,7 @@ from .xfeat import XFeat
 
 # What the oldest ONNX Runtime that is supported, 1.20, reads: IR 10 and opset 21. The exporter would write the newest.
 OPSET, IR_VERSION = 18, 10
-XFEAT_SCALE, _LEAST_WIDTH = 0.7, 400  # to which images are reduced for XFeat; from how many pixels across on
+XFEAT_PIXELS = 448 * 320  # to which larger images are reduced for XFeat, see docs/decisions/landmarks.md
 _TOLERANCE = 1e-3  # of the largest feature: rounding through some sixty layers; a wrong operator errs by far more
 
 
@@ -44,7 +45,7 @@ def make_detector(name: str, camera: PinholeCamera, cache: FeatureCache) -> Dete
     """A detector of local features for images of a camera; its network, if it has one, is exported and cached."""
     if name != "xfeat":
         return DETECTORS[name]()
-    scale = XFEAT_SCALE if camera.width >= _LEAST_WIDTH else 1.0
+    scale = min(1.0, sqrt(XFEAT_PIXELS / (camera.width * camera.height)))
     width, height = (max(1, round(scale * side / XFEAT_STEP)) * XFEAT_STEP for side in (camera.width, camera.height))
     network = XFeat(width, height)
     cached = cache.load(network.digest, "networks")
