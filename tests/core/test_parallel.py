@@ -83,7 +83,7 @@ def test_ray_does_again_what_a_killed_worker_was_at(tmp_path):
     """As docs/howto/many-recordings.md has it."""
     ray, register_ray = pytest.importorskip("ray"), pytest.importorskip("ray.util.joblib").register_ray
     again = {"max_restarts": 3, "max_task_retries": 3}
-    with ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False):
+    with ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False):
         register_ray()
         with joblib.parallel_config(backend="ray", n_jobs=2, ray_remote_args=again):
             results = in_workers(killed_once(tmp_path / "killed"), range(6))
