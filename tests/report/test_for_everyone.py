@@ -94,6 +94,12 @@ def test_the_keyboard_plays_and_steps(opened, pages):
     assert page.inner_text("#play") == "Pause"
     page.keyboard.press("Enter")
     assert page.inner_text("#play") == "Play"
+    page.focus("#turning")  # arrows step here, too; letters turn the view
+    at = where(page)
+    page.keyboard.press("a")
+    assert where(page) == at
+    page.keyboard.press("ArrowLeft")
+    assert where(page) == at - 1
 
 
 def test_it_plays_once_when_opened_and_stops_at_the_end(opened, make_run, tmp_path):

@@ -16,15 +16,15 @@ EVERY = np.arange(N)
 ZERO = np.zeros(N, dtype=np.int64)
 
 
-def examined(known=None):
+def examined(known=None, recording=ZERO):
     """A straight way, of which the frames 50 to 69 are not known."""
     positions = np.column_stack((0.04 * EVERY, ZERO, ZERO))
     poses = Trajectory(EVERY / 10, positions, np.tile([1.0, 0, 0, 0], (N, 1)))
     known = (EVERY < 50) | (EVERY >= 70) if known is None else known
     scale = ViewScale(2.0, 1.5)
-    coverage = pose_coverage(poses, ZERO, poses[known], scale)
+    coverage = pose_coverage(poses, recording, poses[known], scale)
     paths, camera = tuple(Path(f"{i}.png") for i in EVERY), PinholeCamera(9, 9, 8, 8, 16, 16)
-    sequence = Recording("<b>", paths, poses.timestamps_s, ZERO, camera, poses)
+    sequence = Recording("<b>", paths, poses.timestamps_s, recording, camera, poses)
     return RecordingQuality(sequence, EVERY, poses, np.flatnonzero(known), scale, coverage)
 
 
@@ -33,6 +33,7 @@ def test_the_plan_tells_kinds_apart_by_marks_and_words():
     for label in ("well covered (114)", "sparsely covered (6)", "57-62"):
         assert label in plan
     assert "sparsely" not in "".join(re.findall(r"<text[^>]*>([^<]*)", quality_plan(examined(EVERY >= 0))))
+    assert "recording 2, well covered (60)" in quality_plan(examined(EVERY >= 0, EVERY // 60))
 
 
 @pytest.mark.parametrize("missing", [True, False])

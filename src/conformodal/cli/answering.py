@@ -214,7 +214,7 @@ def _explain(coverage: dict[str, Any]) -> str:
     if coverage["joint"] == "none":
         return ", fewer than each number of the pose alone, as is to be expected of seven"
     if (band := coverage["joint_band_99"]) is None:
-        return f", fewer than the {asked:g} asked for"
+        return f", fewer than the {asked:g} asked for: the guarantee, in brackets, is of the average over many runs"
     within = "as" if band[0] <= coverage["joint_coverage"] else "fewer than"
     return f", {within} chance allows ({band[0]:.3f} to {band[1]:.3f} over all frames, 99 % band)"
 
@@ -226,7 +226,8 @@ def write_answers(
     folder, records, runner = answers.writer.folder, answers.writer.records, answers.runner
     write_metrics(folder, metrics)
     level, unit = answers.model.rules.level, metrics["configuration"]["unit"]
-    viewer = make_viewer(records, answers.trajectories, runner.truth, answers.pictures, level, walls, unit)
+    trained_xyz = answers.model.known_frames.poses[answers.model.localizer.frames, :3]
+    viewer = make_viewer(records, answers.trajectories, runner.truth, answers.pictures, level, walls, unit, trained_xyz)
     write_page(folder / PAGE, title, summary, metrics, viewer)
 
 

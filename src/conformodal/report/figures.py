@@ -38,15 +38,24 @@ def quality_plan(quality: RecordingQuality) -> str | None:
     tall = float(np.clip(_LONGEST * height / width, _SHORTEST, _LONGEST))
     figure = Figure(figsize=(10, tall + 1.2), layout="constrained")
     axis = figure.subplots()
-    for rows in rows_by_label(quality.sequence.recording[quality.posed]):
+    recording = quality.sequence.recording[quality.posed]
+    paths = rows_by_label(recording)
+    for rows in paths:
         axis.plot(*flat[rows].T, "-", lw=1, color=_PATH, alpha=0.6, zorder=1)
     note: dict[str, Any] = {"textcoords": "offset points", "fontsize": "small", "zorder": 6}
     axis.annotate("start", flat[0], xytext=(-6, -14), **note)
     sparse, ambiguous = quality.coverage.sparse_frames, np.zeros(len(flat), dtype=np.bool_)
     if quality.ambiguity is not None:
         ambiguous = np.isin(quality.posed, quality.ambiguity.frames[quality.ambiguity.n_places > 1])
+    covered = [(~sparse & ~ambiguous, "well covered", ".", 5, _GOOD)]
+    if len(paths) > 1:
+        label, colours = "recording {}, well covered", (_GOOD, "#009e73", "#332288", "#882255", "#56b4e9")
+        covered = [
+            (~sparse & ~ambiguous & (recording == recording[rows[0]]), label.format(k + 1), ".", 5, colours[k % 5])
+            for k, rows in enumerate(paths)
+        ]
     for chosen, label, mark, size, colour in (
-        (~sparse & ~ambiguous, "well covered", ".", 5, _GOOD),
+        *covered,
         (ambiguous, "ambiguous", "s", 9, _AMBIGUOUS),
         (sparse, "sparsely covered", "x", 6, _SPARSE),
     ):

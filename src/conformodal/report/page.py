@@ -23,11 +23,7 @@ METHOD_LABELS = {
 
 
 def write_page(
-    path: Path,
-    title: str,
-    summary: list[str],
-    metrics: dict[str, Any],
-    viewer: dict[str, Any] | None = None,
+    path: Path, title: str, summary: list[str], metrics: dict[str, Any], viewer: dict[str, Any] | None = None
 ) -> None:
     """Write the page of a run.
 

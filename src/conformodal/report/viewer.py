@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray, UInt8Array
+from conformodal.core.arrays import FloatArray, UInt8Array, evenly_spread
 from conformodal.core.extras import require_extra
 from conformodal.core.words import counted, length
 from conformodal.geometry import Trajectory, angle_between_quats
@@ -58,12 +58,14 @@ def make_viewer(
     level: float | None = None,
     walls: Sequence[FloatArray] = (),
     unit: str = "m",
+    trained_xyz: FloatArray | None = None,
 ) -> dict[str, Any]:
     """What the template of a run's viewer needs; of long runs, it shows at most a thousand frames, evenly spread.
 
     The first trajectory is the answer. A truth of some of the frames is not shown. `images` are JPEG data by frame
     name: where there are some, the frames shown are among these. `level` is the p-value at or below which an image
     shows no known place; `walls` are (2, 2) segments, drawn where the plan shows x and y. `unit` is that of lengths.
+    `trained_xyz` (k, 3) are positions of the frames that the model was trained on.
     """
     n, images = len(records), images or {}
     answer, classical = next(iter(trajectories.values())), trajectories.get("classical")
@@ -81,8 +83,10 @@ def make_viewer(
     for frame in shown if images else ():
         frame["img"] = base64.b64encode(images[frame["n"]]).decode()
     flat = sorted(np.argsort(-np.ptp(answer.positions_xyz, axis=0))[:2].tolist())
+    trained_xyz = np.empty((0, 3)) if trained_xyz is None else trained_xyz
     data = {
         "frames": shown,
+        "trained": trained_xyz[evenly_spread(len(trained_xyz), MOST_FRAMES)].round(3).tolist(),
         "axes": flat,
         "unit": unit,
         "up": ({0, 1, 2} - set(flat)).pop(),
@@ -97,6 +101,7 @@ def make_viewer(
         "n_shown": len(shown),
         "has_images": bool(images),
         "truth": truth is not None,
+        "trained": len(trained_xyz) > 0,
         "classical": classical is not None,
         "online": ONLINE in trajectories,
         "known": any(frame["kp"] is not None for frame in shown),

@@ -1,4 +1,4 @@
-// The plan: the region's boxes, the chosen path so far, the truth, and where the camera looks.
+// The plan: what was recorded, the region's boxes, the chosen path so far, the truth, and where the camera looks.
 const LEAST_FRAME = 20; // pixels: a place that is smaller has a frame of this size around it
 
 // Where the camera looks, from its quaternion wxyz: the third column of the rotation.
@@ -9,7 +9,8 @@ function shapePlan() {
   const canvas = $("plan"), [a, b] = data.axes, narrow = canvas.clientWidth < 600;
   const wanted = (range[b][1] - range[b][0]) / (range[a][1] - range[a][0]);
   const ratio = Math.min(Math.max(wanted, narrow ? 0.6 : 0.34), narrow ? 1 : 0.56);
-  canvas.style.height = `${Math.round(canvas.clientWidth * ratio)}px`;
+  // with the controls, on the first screen of a usual window
+  canvas.style.height = `${Math.round(Math.min(canvas.clientWidth * ratio, Math.max(0.45 * window.innerHeight, 280)))}px`;
 }
 
 function drawPlan() {
@@ -22,6 +23,8 @@ function drawPlan() {
   drawGrid(g, w, h, point, scale);
   for (const wall of data.walls) polyline(g, wall.map(([x, y]) => point(x, y)), colours.faint, 1.5);
   if (f.whole) hatch(g, w, h);
+  g.fillStyle = colours.faint;
+  for (const p of data.trained) { const [x, y] = at(p); g.fillRect(x - 1, y - 1, 2, 2); }
   g.globalAlpha = 0.35; polyline(g, frames.map((one) => at(one.p)), colours.answer, 1); g.globalAlpha = 1;
   if (data.truth) polyline(g, frames.map((one) => one.truth && at(one.truth)), colours.ink, 1, [3, 4]);
   const outside = f.whole ? 0 : drawBoxes(g, w, h, f, point);

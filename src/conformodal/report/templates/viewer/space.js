@@ -41,7 +41,7 @@ function turnBy(yaw, tilt, zoom) {
 }
 
 function listenSpace() {
-  const canvas = $("space"), ways = { ArrowLeft: [-0.1, 0, 1], ArrowRight: [0.1, 0, 1], ArrowUp: [0, 0.1, 1], ArrowDown: [0, -0.1, 1] };
+  const canvas = $("space"), ways = { a: [-0.1, 0, 1], d: [0.1, 0, 1], w: [0, 0.1, 1], s: [0, -0.1, 1] };
   Object.assign(ways, { "+": [0, 0, 1.2], "=": [0, 0, 1.2], "-": [0, 0, 1 / 1.2] });
   canvas.addEventListener("pointerdown", (e) => canvas.setPointerCapture(e.pointerId));
   canvas.addEventListener("pointermove", (e) => { if (e.buttons & 1) turnBy(e.movementX / 150, e.movementY / 150, 1); });
