@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -57,4 +59,7 @@ def test_bands_of_many_groups_hold_at_once_and_the_ten_lowest_are_shown():
     assert outside <= 5  # of 100, each outside with probability 0.01
     assert len(result.columns[0].rows()) == 11
     assert "60 others: 60 within" in str(result)
+    lowest, column = result.columns[0].rows()[1][0], result.columns[0]
+    unbounded = replace(column.parts[lowest], n_covered=10, low=1.0, high=1.0)
+    assert lowest not in dict(replace(column, parts={**column.parts, lowest: unbounded}).rows())
     assert "All 71 bands hold at once with probability 99 %" in str(result)

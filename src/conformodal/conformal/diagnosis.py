@@ -70,8 +70,11 @@ class ColumnDiagnosis:
     parts: dict[str, CoverageCheck]  # of groups
 
     def rows(self) -> list[tuple[str, CoverageCheck]]:
-        """The coverage of all samples and of each group with its label: of many, the ten that cover least."""
-        ranked = sorted(self.parts, key=lambda label: self.parts[label].coverage - self.parts[label].low)
+        """The coverage of all samples and of each group with its label: of many, the ten that cover least.
+
+        Groups whose band is 1 alone, as that of unbounded sets, come last.
+        """
+        ranked = sorted(self.parts, key=lambda a: (self.parts[a].low == 1, self.parts[a].coverage - self.parts[a].low))
         shown = self.parts if len(ranked) <= _SHOWN + 1 else ranked[:_SHOWN]
         return [("all samples", self.coverage), *((label, self.parts[label]) for label in shown)]
 

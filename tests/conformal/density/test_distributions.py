@@ -60,13 +60,16 @@ METHODS = {
     "pred_dist": lambda self, X: self.normal(X),  # as NGBoost
     "predict_quantiles": lambda self, X, levels: self.normal(X).ppf(np.array(levels)[:, None]).T,
     "predict": lambda self, X, quantiles=None: self.normal(X).ppf(np.array(quantiles)[:, None]).T,  # quantile-forest
+    "predict ": lambda self, X, output_type="mean", alphas=None: (
+        self.normal(X).ppf(np.array(alphas)[:, None]).T
+    ),  # TabICL
 }
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("frozen", [False, True])
 def test_a_regressor_that_predicts_distributions_is_calibrated(method, frozen):
-    kind = type("Model", (Line,), {method: METHODS[method]})
+    kind = type("Model", (Line,), {method.strip(): METHODS[method]})
     rng = np.random.default_rng(0)
     X = rng.uniform(-2, 2, (3000, 1))
     y = 2 * X[:, 0] + rng.normal(0, 0.5, 3000)

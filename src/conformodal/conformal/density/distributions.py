@@ -25,6 +25,9 @@ READERS: dict[tuple[str, str], Reader] = {
     ("predict", "quantiles"): lambda model, X, bins: bins.proba_from_quantiles(  # quantile-forest
         _LEVELS, model.predict(X, quantiles=_LEVELS.tolist())
     ),
+    ("predict", "alphas"): lambda model, X, bins: bins.proba_from_quantiles(  # TabICL
+        _LEVELS, model.predict(X, output_type="quantiles", alphas=_LEVELS.tolist())
+    ),
 }
 
 
