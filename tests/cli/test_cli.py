@@ -54,7 +54,13 @@ def test_help_of_every_verb_explains_every_option():
 
 
 @pytest.mark.parametrize(
-    ("words", "meant"), [("tabel", "'table'"), ("data chekc", "'check'"), ("train a --split x", "'x' is not one of")]
+    ("words", "meant"),
+    [
+        ("tabel", "'table'"),
+        ("data chekc", "'check'"),
+        ("table fti a.csv", "'fit'"),
+        ("train a --split x", "'x' is not one of"),
+    ],
 )
 def test_what_is_mistyped_is_told_with_what_was_meant(words, meant):
     shown = refusal(*words.split())

@@ -52,6 +52,7 @@ def test_check_finds_what_is_wrong(tmp_path):
     paths[7].write_bytes(b"")
     for path in paths[9:]:
         path.rename(path.with_name(f"{float(path.stem) + 2:.6f}.png"))
+    assert "good enough: no, not before this is mended: " in invoke("data", "check", tmp_path / "a").output
     (tmp_path / "a" / "poses.tum").unlink()
     found = check_recording(read_recording(tmp_path / "a", require_poses=False))
     assert found.n_frames == 12
@@ -65,6 +66,7 @@ def test_check_finds_what_is_wrong(tmp_path):
     result = invoke("data", "check", tmp_path / "a", "--out", tmp_path / "out")
     assert result.exit_code == 1
     assert "image cannot be read" in result.output
+    assert "good enough: not to train on, without poses" in result.output
     record = json.loads((tmp_path / "out" / "metrics.json").read_text())["check"]
     assert len(record["findings"]) == 3
 

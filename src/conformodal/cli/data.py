@@ -87,8 +87,13 @@ def check(
         if overlaps:
             record["overlaps"] = [asdict(overlap) for overlap in overlaps]
         useful = trained is not None or quality.poses is not None
-        if useful:
+        wrong = "; ".join(finding.what for finding in checked.findings if finding.wrong)
+        if not useful:
+            report_line("good enough: not to train on, without poses", bold=True)
+        else:
             record["quality"] = quality_record(quality)
+            if wrong:
+                record["quality"]["verdict"] = f"good enough: no, not before this is mended: {wrong}"
             for line in record["quality"]["summary"]:
                 report_line(line)
             report_line(record["quality"]["verdict"], bold=True)
@@ -99,7 +104,7 @@ def check(
             write_quality_page(out, quality if useful else None, record, findings)
             print_where(out)
     print_json(record)
-    if any(finding.wrong for finding in checked.findings):
+    if wrong:
         raise typer.Exit(1)
 
 

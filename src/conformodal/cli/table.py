@@ -46,8 +46,8 @@ class _FitByDefault(Group):
     """``table FILE`` is ``table fit FILE``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put ``fit`` before arguments that do not begin with a command."""
-        if args and args[0] not in (*self.commands, "--help"):
+        """Put ``fit`` before arguments that begin with an option or a file."""
+        if args and args[0] != "--help" and (args[0].startswith("-") or Path(args[0]).suffix or Path(args[0]).exists()):
             args = ["fit", *args]
         return super().parse_args(ctx, args)
 
@@ -99,7 +99,7 @@ def fit(
     model: Annotated[
         Path | None, typer.Option(help="File for the fitted regressor, for 'table predict'; needs the extra 'save'.")
     ] = None,
-    quiet: Quiet = False,  # heeded by the terminal
+    quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
     """Learn columns of a CSV file from the others; print regions of unseen rows and their coverage."""
@@ -141,6 +141,8 @@ def fit(
         diagnosis = reg.diagnose(X.iloc[test], y.iloc[test], test_groups)
     for line in str(diagnosis).splitlines():
         report_line(line)
+    if split is Split.TIME and any(check.coverage < check.low for one in diagnosis.columns for _, check in one.rows()):
+        report_line("the data drift: fewer of the last rows are held than asked for (docs/howto/groups-and-shift.md)")
     if model is not None:
         others = frame.drop(columns=[*X, *y])
         reg.file_format_ = {
@@ -202,7 +204,7 @@ def _draw(density: PredictiveDensity, regions: Regions, y: pd.DataFrame, diagnos
         some = PredictiveDensity(density.bins, [part[rows] for part in density.proba])
         place = pd.Series(np.arange(len(rows)), name=f"{len(rows):,} of {len(y):,} unseen rows, by predicted mean")
         draw_regions(regions[rows], y.iloc[rows], place, some, j, left)
-        left.set_title(f"{y.columns[j]}: sets, alpha = {diagnosis.alpha}", fontsize="medium", loc="left")
+        left.set_title(f"{y.columns[j]}: sets, alpha = {diagnosis.alpha}", fontsize="medium", loc="left", pad=24)
         if j < len(diagnosis.columns):
             draw_coverage(diagnosis, j, right)
         else:

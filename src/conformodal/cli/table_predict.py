@@ -19,7 +19,7 @@ from conformodal.core.extras import require_extra
 from conformodal.core.files import replacing
 from conformodal.core.words import counted, finite_or_none, listed
 
-from .console import progress_bars, report_line, warning_lines
+from .console import Quiet, progress_bars, report_line, warning_lines
 from .table_csv import CsvFormat, TableError, read_table
 
 _ROWS = 65_536  # at once, and of a row group that is written
@@ -33,6 +33,7 @@ def predict(
     out: Annotated[Path, typer.Option(help="File for the regions, .csv or .parquet.")],
     alpha: Annotated[str | None, typer.Option(help="Miscoverage rate; that of the fit by default.")] = None,
     sep: Annotated[str | None, typer.Option(help="Separator of a CSV file; recognised by default.")] = None,
+    quiet: Quiet = False,
 ) -> None:
     """Write the region of every row of a file: intervals with probabilities, their ends, and the mean."""
     if out.suffix not in (_PARQUET, _CSV):

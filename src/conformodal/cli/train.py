@@ -67,7 +67,7 @@ def train(
             "it; auto: frames for --split interleaved, else stretches.",
         ),
     ] = ModelConfig.calibrate_on,
-    workers: Annotated[int, typer.Option(min=1, help="Processes that train folds; results do not depend on it.")] = 1,
+    workers: Annotated[int, _model(min=1, help="Processes that train folds; results do not depend on it.")] = 1,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
