@@ -6,12 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from conformodal.conformal import (
-    conformal_rank,
-    coverage_band,
-    grouped_coverage_band,
-    hierarchical_quantile,
-)
+from conformodal.conformal import conformal_rank, coverage_band, grouped_coverage_band, hierarchical_quantile
 
 GROUPS = st.lists(st.lists(st.integers(0, 12), min_size=1, max_size=6), min_size=2, max_size=9)
 

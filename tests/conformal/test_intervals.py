@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 from sklearn.ensemble import RandomForestClassifier
 
-from conformodal.conformal import (
-    ConformalRegressor,
-    QuantileBins,
-)
+from conformodal.conformal import ConformalRegressor, QuantileBins
 
 pytestmark = pytest.mark.filterwarnings("ignore:regions are unbounded")
 RNG = np.random.default_rng(0)

@@ -52,8 +52,7 @@ def test_a_regressor_comes_back_as_it_was(kind, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "labels",
-    [(False, True), (date(2020, 1, 1), date(2021, 1, 1)), (0, 5), ("a", "b"), (0.0, 0.5)],
+    "labels", [(False, True), (date(2020, 1, 1), date(2021, 1, 1)), (0, 5), ("a", "b"), (0.0, 0.5)]
 )
 def test_groups_come_back_whatever_their_labels_are(labels, tmp_path):
     groups = [labels[i % 2] for i in range(200)]

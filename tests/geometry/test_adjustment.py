@@ -5,14 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import adjustment as adjustment_module
 from conformodal.geometry import rigid_motions
-from conformodal.geometry.adjustment import (
-    INVERSE_DEPTHS,
-    POSITIONS,
-    Adjustment,
-    Bundle,
-    Observations,
-    PosePriors,
-)
+from conformodal.geometry.adjustment import INVERSE_DEPTHS, POSITIONS, Adjustment, Bundle, Observations, PosePriors
 
 
 def world(n_cameras=6, n_points=40, seed=0):

@@ -29,15 +29,7 @@ from conformodal.pipeline.plain import train_plain
 from conformodal.pipeline.results import lock_output
 from conformodal.pipeline.train import prepare_training_data
 
-from .answering import (
-    Part,
-    answer_stream,
-    describe_outcome,
-    metrics_of,
-    part_frames,
-    report_outcome,
-    write_answers,
-)
+from .answering import Part, answer_stream, describe_outcome, metrics_of, part_frames, report_outcome, write_answers
 from .console import print_where, progress_bars, report_line
 from .train import train_on
 

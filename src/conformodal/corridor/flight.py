@@ -105,12 +105,7 @@ def _wander(n: int, sigma_frames: float, rng: np.random.Generator) -> FloatArray
 
 
 def write_corridor(
-    folder: Path | str,
-    *,
-    n_modules: int = 5,
-    n_laps: int = 2,
-    seed: int = 0,
-    progress: Progress | None = None,
+    folder: Path | str, *, n_modules: int = 5, n_laps: int = 2, seed: int = 0, progress: Progress | None = None
 ) -> Path:
     """Fly through the corridor and write ``seq-01/frame-NNNNNN.{color.png,pose.txt}``, intrinsics and frame rate.
 
@@ -122,12 +117,7 @@ def write_corridor(
 
 
 def write_flight(
-    recording: Path,
-    renderer: Renderer,
-    poses_se3: FloatArray,
-    *,
-    noise_seed: int = 0,
-    progress: Progress | None = None,
+    recording: Path, renderer: Renderer, poses_se3: FloatArray, *, noise_seed: int = 0, progress: Progress | None = None
 ) -> Path:
     """Write what the camera sees from `poses_se3` (n, 4, 4) ``T_world_cam`` as a recording; returns its folder.
 

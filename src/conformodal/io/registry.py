@@ -115,11 +115,7 @@ def _check_folder(folder: Path) -> None:
 
 
 def read_recording(
-    path: Path | str,
-    format: str = Layout.AUTO,
-    *,
-    require_poses: bool = True,
-    focal: float | None = None,
+    path: Path | str, format: str = Layout.AUTO, *, require_poses: bool = True, focal: float | None = None
 ) -> Recording:
     """Read a data set, without decoding its images, as in ``examples/images.py``.
 

@@ -99,8 +99,7 @@ def predict(
     # a hypothesis that is vaguer than the volume says no more than elsewhere does
     widths = np.log(ahead.position_spreads).sum(axis=1) + 3 * np.log(sharp) + 3 * np.log(2 * np.pi)
     ahead = replace(
-        ahead,
-        log_mass=hypotheses.normalised().log_mass + np.minimum(np.log(prior.volume_m3 * _ROTATIONS) - widths, 0),
+        ahead, log_mass=hypotheses.normalised().log_mass + np.minimum(np.log(prior.volume_m3 * _ROTATIONS) - widths, 0)
     )
     elsewhere = 1 - (1 - jump) * (1 - neighbour.elsewhere) * float(np.exp(ahead.log_mass).sum())
     elsewhere = min(max(elsewhere, jump), 1 - _LEAST_MASS)

@@ -52,11 +52,7 @@ class CalibratedRegions:
 
 
 def calibrate_regions(
-    data: SourceData,
-    folds: Folds,
-    localizers: Sequence[Localizer],
-    novelty: PlaceNovelty | None,
-    config: ModelConfig,
+    data: SourceData, folds: Folds, localizers: Sequence[Localizer], novelty: PlaceNovelty | None, config: ModelConfig
 ) -> CalibratedRegions:
     """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone."""
     pairs = list(zip(folds.folds, localizers, strict=True))

@@ -110,11 +110,7 @@ class ModelConfig:
         return {**fixed, **names, "data": data, "n_frames": n_frames}
 
 
-_CHOICES: dict[str, type[StrEnum]] = {
-    "method": Method,
-    "split": SplitKind,
-    "calibrate_on": Calibration,
-}
+_CHOICES: dict[str, type[StrEnum]] = {"method": Method, "split": SplitKind, "calibrate_on": Calibration}
 # Settings that define the paper's system.
 _PAPER: dict[str, Any] = {
     "margin": 0.0,

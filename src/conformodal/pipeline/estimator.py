@@ -30,16 +30,7 @@ from conformodal.tracking.tracker import FrontEnd, MotionFrontEnd, affine_flow
 
 from .config import Method, OdometryError
 from .estimates import Estimate, OdometryRun
-from .model import (
-    HINDSIGHT,
-    METHODS,
-    ONLINE,
-    RELIABLE,
-    ExpectedInput,
-    Localization,
-    PoseModel,
-    colours_of,
-)
+from .model import HINDSIGHT, METHODS, ONLINE, RELIABLE, ExpectedInput, Localization, PoseModel, colours_of
 from .store import load_model
 from .stream import StreamRunner, as_trajectory
 

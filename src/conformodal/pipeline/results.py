@@ -161,13 +161,8 @@ class ResultsWriter:
         for file in self._open.values():
             file.close()
         if kind is None:
-            old = [TRUTH, "regions.parquet", "report.html", METRICS]
-            for pattern in (
-                "methods/*.tum",
-                f"evaluation*/{METRICS}",
-                "evaluation*/errors.csv",
-                "evaluation*/errors.svg",
-            ):
+            old = [TRUTH, "report.html", METRICS]
+            for pattern in ("methods/*.tum", f"evaluation*/{METRICS}", "evaluation*/errors.*"):
                 old += [str(path.relative_to(self.folder)) for path in self.folder.glob(pattern)]
             for name in set(old) - self._open.keys():
                 (self.folder / name).unlink(missing_ok=True)

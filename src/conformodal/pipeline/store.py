@@ -88,20 +88,9 @@ _RATE, _SHARE, _POSITIVE = Range(0, 1, "()"), Range(0, 1), Range(0, 1e9, "(]")
 _COUNT, _SIDE = Range(0, 10**9, whole=True), Range(1, 100_000, whole=True)
 _RECORD: dict[str, Any] = {  # the content of model.json, without its digest
     "format": str,
-    "backbone": {
-        "name": str,
-        "block": (None, _COUNT),
-        "width": _SIDE,
-        "height": _SIDE,
-        "grid": [_SIDE, _SIDE],
-    },
+    "backbone": {"name": str, "block": (None, _COUNT), "width": _SIDE, "height": _SIDE, "grid": [_SIDE, _SIDE]},
     "sources": ListOf({"name": str, "settings": dict}),
-    "calibration": {
-        "alpha": _RATE,
-        "score": str,
-        "joint": {*get_args(Joint)},
-        "novelty_level": Range(0, 1, "[)"),
-    },
+    "calibration": {"alpha": _RATE, "score": str, "joint": {*get_args(Joint)}, "novelty_level": Range(0, 1, "[)")},
     "prior": {
         "turn_rate_rad_s": _POSITIVE,
         "intervals_s": ListOf(_POSITIVE),

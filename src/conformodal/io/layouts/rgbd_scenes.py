@@ -17,14 +17,7 @@ from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import DOUBTFUL, FrameTable
 from conformodal.io.pose_files import PoseRows, length_doubt, pose_faults
-from conformodal.io.reading import (
-    FRAME_RATE_HZ,
-    Note,
-    numbered_frames,
-    numbers_in,
-    parse_lines,
-    recording_folders,
-)
+from conformodal.io.reading import FRAME_RATE_HZ, Note, numbered_frames, numbers_in, parse_lines, recording_folders
 
 CAMERA = PinholeCamera(570.3, 570.3, 320.0, 240.0, 640, 480)
 _IMAGE = re.compile(r"([0-9]{1,9})-color\.png", re.IGNORECASE)

@@ -22,13 +22,7 @@ from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import FrameTable
 from conformodal.io.pose_files import matrix_faults, table_of
-from conformodal.io.reading import (
-    numbered_frames,
-    parse_lines,
-    read_frame_rate,
-    read_numbers,
-    recording_folders,
-)
+from conformodal.io.reading import numbered_frames, parse_lines, read_frame_rate, read_numbers, recording_folders
 
 CAMERA = PinholeCamera(585.0, 585.0, 320.0, 240.0, 640, 480)
 _LISTS = ("TrainSplit.txt", "TestSplit.txt")

@@ -18,11 +18,7 @@ _CAMERA = re.compile(r"camera:([0-9]{1,9})$")
 
 
 def open_stream(
-    source: Path | str,
-    layout: str = Layout.AUTO,
-    *,
-    camera: PinholeCamera | None = None,
-    topic: str | None = None,
+    source: Path | str, layout: str = Layout.AUTO, *, camera: PinholeCamera | None = None, topic: str | None = None
 ) -> FrameStream:
     """Open a source: a data set's folder, a video file, a ROS recording, or ``camera:0``.
 

@@ -44,12 +44,7 @@ _ARRAYS = {
 }
 _COUNT, _POSITIVE = Range(1, 1_000_000, whole=True), Range(0, 1e9, "(]")
 _SETTINGS: dict[str, Any] = {
-    "regression": {
-        "components": _COUNT,
-        "neighbours": _COUNT,
-        "ridge": Range(0, 1e9),
-        "radius": (None, _POSITIVE),
-    },
+    "regression": {"components": _COUNT, "neighbours": _COUNT, "ridge": Range(0, 1e9), "radius": (None, _POSITIVE)},
     "errors": ErrorModel.json_schema(n_support=1),
     "typical": _POSITIVE,
     "limit": _POSITIVE,
