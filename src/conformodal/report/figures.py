@@ -6,6 +6,7 @@ Colours are those of Okabe and Ito, which colour-blind people can tell apart; tr
 from __future__ import annotations
 
 import io
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ with require_extra("figures", "a figure"):
 
 # of a recording: every kind has a mark of its own too, so that the plan is read without colour
 _GOOD, _SPARSE, _FAST, _AMBIGUOUS, _PATH = "#0072B2", "#D55E00", "#E69F00", "#CC79A7", "#888888"
+_RECORDINGS = (_GOOD, "#009E73", "#332288", "#882255", "#56B4E9")
 _PLAN = "figures/plan.svg"
 _LONGEST, _SHORTEST = 8.5, 3.2  # inches of the plan of a recording
 
@@ -49,10 +51,9 @@ def quality_plan(quality: RecordingQuality) -> str | None:
         ambiguous = np.isin(quality.posed, quality.ambiguity.frames[quality.ambiguity.n_places > 1])
     covered = [(~sparse & ~ambiguous, "well covered", ".", 5, _GOOD)]
     if len(paths) > 1:
-        label, colours = "recording {}, well covered", (_GOOD, "#009e73", "#332288", "#882255", "#56b4e9")
         covered = [
-            (~sparse & ~ambiguous & (recording == recording[rows[0]]), label.format(k + 1), ".", 5, colours[k % 5])
-            for k, rows in enumerate(paths)
+            (covered[0][0] & (recording == recording[rows[0]]), f"recording {k + 1}, well covered", ".", 5, colour)
+            for k, (rows, colour) in enumerate(zip(paths, cycle(_RECORDINGS), strict=False))
         ]
     for chosen, label, mark, size, colour in (
         *covered,
