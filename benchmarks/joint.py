@@ -41,8 +41,7 @@ def measured(name: str, learner: str, most_rows: int, seed: int) -> dict[str, tu
     train, cal, test = np.split(order, [int(share * len(order)) for share in (0.6, 0.8)])
     dense = learner == "default"
     bins = QuantileBins(200 if dense else 30, margin=0.02).fit(Y[train])
-    forest = RandomForestClassifier(100, min_samples_leaf=5, random_state=seed)
-    base = QuickDensity(random_state=seed) if dense else forest
+    base = QuickDensity(random_state=seed) if dense else RandomForestClassifier(min_samples_leaf=5, random_state=seed)
     proba: dict[str, list[np.ndarray]] = {"unseen": [], "cal": [], "test": []}
     for j, edges in enumerate(bins.edges_):
         model, out_of_fold = fit_target(base, dense, X[train], Y[train, j], edges, None, True)

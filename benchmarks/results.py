@@ -34,7 +34,7 @@ class Unit:
 UNITS = {
     "cameras": Unit("cameras.py", 45, 2),
     "recordings": Unit("recordings.py", 14, 1, ("cameras",)),
-    "unseen": Unit("unseen.py --seeds 30", 14),
+    "unseen": Unit("unseen.py", 14),
     "frame_rates": Unit("frame_rates.py", 12),
     "landmarks": Unit("landmarks.py", 8),
     "relative_motion": Unit("relative_motion.py", 4),

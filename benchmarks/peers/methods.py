@@ -33,12 +33,18 @@ from sklearn.ensemble import (
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import make_scorer, mean_pinball_loss
 from sklearn.model_selection import GridSearchCV, KFold, cross_val_predict
-from sklearn.neighbors import KNeighborsClassifier
+from sklearn.neighbors import KNeighborsClassifier, NearestNeighbors
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
-from sklearn.tree import DecisionTreeClassifier
 
-from conformodal.conformal import ConformalRegressor, QuantileBins, QuickDensity, StackedDensity
+from conformodal.conformal import (
+    ConformalRegressor,
+    QuantileBins,
+    QuickDensity,
+    Regions,
+    SplitConformal,
+    StackedDensity,
+)
 from conformodal.core.arrays import FloatArray
 
 torch.set_num_threads(1)  # networks this small are no faster with more
@@ -53,7 +59,21 @@ def conformodal(make: Callable[[int], Any], split: Split, alpha: float) -> Sets:
     """Sets of what `make` makes of a seed, as the estimator."""
     reg = ConformalRegressor(make(split.seed), alpha=alpha, calibration_size=0, random_state=split.seed)
     reg.fit(split.X["train"], split.y["train"]).conformalize(split.X["cal"], split.y["cal"])
-    regions = reg.predict_region(split.X["test"])
+    return sets_of(reg.predict_region(split.X["test"]))
+
+
+def sampler(split: Split, alpha: float) -> Sets:
+    """Samples as of a generative model, here the targets of the 50 nearest rows: docs/howto/distributions.md."""
+    scale = StandardScaler().fit(split.X["train"])
+    nearest = NearestNeighbors(n_neighbors=50).fit(scale.transform(split.X["train"]))
+    bins = QuantileBins(200, margin=0.02).fit(split.y["train"])
+    rows = (nearest.kneighbors(scale.transform(split.X[part]), return_distance=False) for part in ("cal", "test"))
+    cal, test = (bins.proba_from_samples(split.y["train"][index]) for index in rows)
+    return sets_of(SplitConformal(bins, alpha, "density").calibrate(cal, split.y["cal"]).predict(test))
+
+
+def sets_of(regions: Regions) -> Sets:
+    """Regions as sets whose upper ends are closed, as those of the peers."""
     offsets, ends = regions.flat_intervals(0)
     last = ends[:, 1] == regions.bins.edges_[0][-1]
     high = np.where(last | np.isinf(ends[:, 1]), ends[:, 1], np.nextafter(ends[:, 1], -np.inf))
@@ -285,7 +305,6 @@ OURS, STACK, PROBE = "conformodal", "conformodal, stack", "crepes on conformodal
 # other estimators, with their packages' default settings; two on standardised inputs
 LEARNERS: dict[str, Callable[[int], Any]] = {
     "conformodal, random forest": lambda seed: RandomForestClassifier(random_state=seed),
-    "conformodal, tree": lambda seed: DecisionTreeClassifier(random_state=seed),
     "conformodal, quantile-forest": lambda seed: RandomForestQuantileRegressor(random_state=seed),
     "conformodal, NGBoost": lambda seed: NGBRegressor(random_state=seed, verbose=False),
     "conformodal, k-NN": lambda seed: make_pipeline(StandardScaler(), KNeighborsClassifier()),
@@ -304,5 +323,6 @@ METHODS: dict[str, Callable[[Split, float], Sets]] = {
     OURS: partial(conformodal, lambda seed: QuickDensity(random_state=seed)),
     STACK: partial(conformodal, lambda seed: StackedDensity(random_state=seed)),
     **{name: partial(conformodal, make) for name, make in LEARNERS.items()},
+    "conformodal, 50 nearest samples": sampler,
     **PEERS,
 }
