@@ -214,7 +214,7 @@ def _explain(coverage: dict[str, Any]) -> str:
     if coverage["joint"] == "none":
         return ", fewer than each number of the pose alone, as is to be expected of seven"
     if (band := coverage["joint_band_99"]) is None:
-        return f", fewer than the {asked:g} asked for: the guarantee, in brackets, is of the average over many runs"
+        return f", fewer than the {asked:g} asked for: see in brackets what is guaranteed"
     within = "as" if band[0] <= coverage["joint_coverage"] else "fewer than"
     return f", {within} chance allows ({band[0]:.3f} to {band[1]:.3f} over all frames, 99 % band)"
 
