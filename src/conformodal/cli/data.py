@@ -16,6 +16,7 @@ from conformodal.geometry.metrics import MAX_GAP_S
 from conformodal.io import DatasetError, Layout, Recording, check_recording
 from conformodal.io.check import DatasetCheck
 from conformodal.io.convert import convert_stream
+from conformodal.io.frame_table import NO_POSE
 from conformodal.io.recording import as_camera, join_recordings
 from conformodal.io.streams.frames import RecordingStream
 from conformodal.localizer.overlap import Overlap, measure_overlap
@@ -87,13 +88,13 @@ def check(
         if overlaps:
             record["overlaps"] = [asdict(overlap) for overlap in overlaps]
         useful = trained is not None or quality.poses is not None
-        wrong = "; ".join(finding.what for finding in checked.findings if finding.wrong)
+        wrong = [finding for finding in checked.findings if finding.wrong]
         if not useful:
             report_line("good enough: not to train on, without poses", bold=True)
         else:
             record["quality"] = quality_record(quality)
-            if wrong:
-                record["quality"]["verdict"] = f"good enough: no, not before this is mended: {wrong}"
+            if told := [f"{one.what}: {one.first}" for one in wrong if one.what != NO_POSE]:  # train leaves these out
+                record["quality"]["verdict"] = f"good enough: no, not before this is mended: {'; '.join(told)}"
             for line in record["quality"]["summary"]:
                 report_line(line)
             report_line(record["quality"]["verdict"], bold=True)

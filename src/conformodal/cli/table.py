@@ -47,7 +47,9 @@ class _FitByDefault(Group):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Put ``fit`` before arguments that begin with an option or a file."""
-        if args and args[0] != "--help" and (args[0].startswith("-") or Path(args[0]).suffix or Path(args[0]).exists()):
+        first = args[0] if args else "--help"
+        file = Path(first).suffix or Path(first).name != first or Path(first).exists()
+        if first not in (*self.commands, "--help") and (first.startswith("-") or file):
             args = ["fit", *args]
         return super().parse_args(ctx, args)
 
@@ -121,7 +123,7 @@ def fit(
     reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, y_min=y_min, y_max=y_max)
     reg.calibration = "random" if split is Split.RANDOM else "last"
     train_groups, test_groups = (X[group].iloc[rows] if group else None for rows in (train, test))
-    with warning_lines(UserWarning, lambda text: report_line(f"note: {text}")):
+    with warning_lines(UserWarning, lambda text: report_line(f"note: {text}", bold=True)):
         reg.fit(X.iloc[train], y.iloc[train], groups=train_groups, units=None if units is None else units.iloc[train])
         regions = reg.predict_region(X.iloc[test], groups=test_groups)
     several = (regions.n_intervals > 1).any(axis=1)
@@ -142,7 +144,7 @@ def fit(
     for line in str(diagnosis).splitlines():
         report_line(line)
     if split is Split.TIME and any(check.coverage < check.low for one in diagnosis.columns for _, check in one.rows()):
-        report_line("the data drift: fewer of the last rows are held than asked for (docs/howto/groups-and-shift.md)")
+        report_line("the data drift, it seems: fewer of the last rows are held than chance allows", bold=True)
     if model is not None:
         others = frame.drop(columns=[*X, *y])
         reg.file_format_ = {

@@ -66,7 +66,7 @@ def predict(
             progress("rows", done, n_rows)
     if told:
         again = f" (and {counted(len(told) - 1, 'warning')} of other rows)" if len(told) > 1 else ""
-        report_line(f"note: {told[0]}{again}")
+        report_line(f"note: {told[0]}{again}", bold=True)
     report_line(f"regions of {counted(done, 'row')}: {out.resolve()}")
 
 

@@ -72,9 +72,12 @@ class ColumnDiagnosis:
     def rows(self) -> list[tuple[str, CoverageCheck]]:
         """The coverage of all samples and of each group with its label: of many, the ten that cover least.
 
-        Groups whose band is 1 alone, as that of unbounded sets, come last.
+        Groups that cover 1 of a band that is 1 alone, as those of unbounded sets, come last.
         """
-        ranked = sorted(self.parts, key=lambda a: (self.parts[a].low == 1, self.parts[a].coverage - self.parts[a].low))
+        over = {
+            label: (check.coverage == check.low == 1, check.coverage - check.low) for label, check in self.parts.items()
+        }
+        ranked = sorted(over, key=lambda label: over[label])
         shown = self.parts if len(ranked) <= _SHOWN + 1 else ranked[:_SHOWN]
         return [("all samples", self.coverage), *((label, self.parts[label]) for label in shown)]
 

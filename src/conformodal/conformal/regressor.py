@@ -79,8 +79,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     estimator
         None or ``"quick"`` for :class:`QuickDensity`, in seconds; ``"stack"`` for :class:`StackedDensity`, in minutes
         with shorter sets; any classifier with ``predict_proba``, fitted five times on bin numbers without every fifth
-        row, averaged, and smoothed over bins as the left-out rows require; a regressor that predicts distributions, by
-        ``pred_dist(X)``, ``predict_quantiles(X, levels)`` or ``predict(X, quantiles=)``; or an object with
+        row, averaged, and smoothed over bins as the left-out rows require; a regressor that predicts distributions as
+        NGBoost, quantile-forest and TabICL do, or by ``predict_quantiles(X, levels)``; or an object with
         ``fit_bins(X, y, edges)`` and ``predict_proba``. One in scikit-learn's ``FrozenEstimator`` is not fitted again.
     n_bins
         Bins per target. None: 200 for an object with ``fit_bins`` (these smooth over bins), 50 for a classifier.

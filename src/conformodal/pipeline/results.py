@@ -162,7 +162,10 @@ class ResultsWriter:
             file.close()
         if kind is None:
             old = [TRUTH, "report.html", METRICS]
-            for pattern in ("methods/*.tum", f"evaluation*/{METRICS}", "evaluation*/errors.*"):
+            for pattern in (
+                "methods/*.tum",
+                *(f"evaluation*/{name}" for name in (METRICS, "errors.csv", "errors.svg")),
+            ):
                 old += [str(path.relative_to(self.folder)) for path in self.folder.glob(pattern)]
             for name in set(old) - self._open.keys():
                 (self.folder / name).unlink(missing_ok=True)

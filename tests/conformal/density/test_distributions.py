@@ -61,7 +61,7 @@ METHODS = {
     "predict_quantiles": lambda self, X, levels: self.normal(X).ppf(np.array(levels)[:, None]).T,
     "predict": lambda self, X, quantiles=None: self.normal(X).ppf(np.array(quantiles)[:, None]).T,  # quantile-forest
     "predict ": lambda self, X, output_type="mean", alphas=None: (
-        self.normal(X).ppf(np.array(alphas)[:, None]).T
+        self.normal(X).ppf(np.array(alphas)[:, None]).T if output_type == "quantiles" else self.normal(X).mean()
     ),  # TabICL
 }
 
