@@ -95,9 +95,9 @@ def test_the_keyboard_plays_and_steps(opened, pages):
     page.keyboard.press("Enter")
     assert page.inner_text("#play") == "Play"
     page.focus("#turning")  # arrows step here, too; letters turn the view
-    at = where(page)
-    page.keyboard.press("a")
-    assert where(page) == at
+    at, view = where(page), page.evaluate("document.getElementById('space').toDataURL()")
+    page.keyboard.press("A")
+    assert page.evaluate("document.getElementById('space').toDataURL()") != view
     page.keyboard.press("ArrowLeft")
     assert where(page) == at - 1
 

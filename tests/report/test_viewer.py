@@ -17,7 +17,7 @@ METRICS = {"provenance": {}, "configuration": {}, "n_answered": 60, "split_note"
 
 
 def page_of(folder, run, title="a run"):
-    viewer = make_viewer(*run)
+    viewer = make_viewer(*run, trained_xyz=np.zeros((3, 3)))
     write_page(folder / "report.html", title, ["first line"], METRICS, viewer=viewer)
     return folder / "report.html"
 
@@ -97,7 +97,7 @@ def test_long_runs_are_thinned_and_stay_small(make_run, tmp_path):
     assert 500 <= len(shown["frames"]) <= 1000
     steps = np.diff([frame["t"] for frame in shown["frames"]])
     np.testing.assert_allclose(steps, steps[0], atol=1e-6)  # evenly
-    assert all("img" in frame for frame in shown["frames"])
+    assert (shown["trained"], {"img" in frame for frame in shown["frames"]}) == ([[0, 0, 0]] * 3, {True})
     assert f"{len(shown['frames'])} of {n} frames are shown" in path.read_text()
 
 

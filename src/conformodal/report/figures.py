@@ -6,7 +6,6 @@ Colours are those of Okabe and Ito, which colour-blind people can tell apart; tr
 from __future__ import annotations
 
 import io
-from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ with require_extra("figures", "a figure"):
 
 # of a recording: every kind has a mark of its own too, so that the plan is read without colour
 _GOOD, _SPARSE, _FAST, _AMBIGUOUS, _PATH = "#0072B2", "#D55E00", "#E69F00", "#CC79A7", "#888888"
-_RECORDINGS = (_GOOD, "#009E73", "#332288", "#882255", "#56B4E9")
+_RECORDINGS = {_GOOD: ".", "#009E73": "^", "#56B4E9": "v", "#000000": "D"}
 _PLAN = "figures/plan.svg"
 _LONGEST, _SHORTEST = 8.5, 3.2  # inches of the plan of a recording
 
@@ -50,10 +49,10 @@ def quality_plan(quality: RecordingQuality) -> str | None:
     if quality.ambiguity is not None:
         ambiguous = np.isin(quality.posed, quality.ambiguity.frames[quality.ambiguity.n_places > 1])
     covered = [(~sparse & ~ambiguous, "well covered", ".", 5, _GOOD)]
-    if len(paths) > 1:
+    if 1 < len(paths) <= len(_RECORDINGS):  # more could not be told apart
         covered = [
-            (covered[0][0] & (recording == recording[rows[0]]), f"recording {k + 1}, well covered", ".", 5, colour)
-            for k, (rows, colour) in enumerate(zip(paths, cycle(_RECORDINGS), strict=False))
+            (covered[0][0] & (recording == k), f"recording {k + 1}, well covered", mark, 5, colour)
+            for k, (colour, mark) in zip(np.unique(recording).tolist(), _RECORDINGS.items(), strict=False)
         ]
     for chosen, label, mark, size, colour in (
         *covered,

@@ -8,7 +8,7 @@ let now = 0;
 
 const isUnknown = (f) => f.ev === "unknown";
 
-// All paths and walls, and the boxes but a hundredth at either end: one far box would make all else small.
+// The run's paths, the walls, and the boxes but a hundredth at either end: one far box would make all else small.
 const range = [0, 1, 2].map((a) => {
   const ends = frames.flatMap((f) => f.iv[a].flat()).filter((e) => e !== null).sort((u, v) => u - v), cut = Math.floor(ends.length / 100);
   const all = [...frames.map((f) => f.p[a]), ...frames.filter((f) => f.truth).map((f) => f.truth[a]), ...ends.slice(cut, ends.length - cut)];

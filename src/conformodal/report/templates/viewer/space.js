@@ -46,9 +46,10 @@ function listenSpace() {
   canvas.addEventListener("pointerdown", (e) => canvas.setPointerCapture(e.pointerId));
   canvas.addEventListener("pointermove", (e) => { if (e.buttons & 1) turnBy(e.movementX / 150, e.movementY / 150, 1); });
   $("turning").addEventListener("keydown", (e) => {
-    if (!ways[e.key] || e.ctrlKey || e.metaKey || e.altKey) return;
+    const way = ways[e.key.toLowerCase()];
+    if (!way || e.ctrlKey || e.metaKey || e.altKey) return;
     e.preventDefault(); e.stopPropagation();
-    turnBy(...ways[e.key]);
+    turnBy(...way);
   });
   for (const [id, zoom] of [["nearer", 1.25], ["further", 0.8]]) $(id).addEventListener("click", () => turnBy(0, 0, zoom));
 }
