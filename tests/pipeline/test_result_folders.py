@@ -135,7 +135,7 @@ def write_results(folder, n=6, shift=0.0, truth=True, after=None):
 def test_earlier_results_stay_where_the_next_run_breaks_off(tmp_path, after):
     write_results(tmp_path)
     mine = {"evaluation/notes.txt": "mine", "methods/notes.txt": "mine", "notes.txt": "mine"}
-    made = {"evaluation/metrics.json": '{"command": "evaluate"}', "methods/old.tum": "", "regions.parquet": ""}
+    made = {"evaluation/metrics.json": '{"command": "evaluate"}', "methods/old.tum": "", "evaluation/errors.csv": ""}
     fill(tmp_path, mine | made)
     before = contents(tmp_path)
     with pytest.raises((OSError, KeyboardInterrupt)):
