@@ -40,25 +40,22 @@ def quality_plan(quality: RecordingQuality) -> str | None:
     figure = Figure(figsize=(10, tall + 1.2), layout="constrained")
     axis = figure.subplots()
     recording = quality.sequence.recording[quality.posed]
-    paths = rows_by_label(recording)
-    for rows in paths:
+    for rows in rows_by_label(recording):
         axis.plot(*flat[rows].T, "-", lw=1, color=_PATH, alpha=0.6, zorder=1)
     note: dict[str, Any] = {"textcoords": "offset points", "fontsize": "small", "zorder": 6}
     axis.annotate("start", flat[0], xytext=(-6, -14), **note)
     sparse, ambiguous = quality.coverage.sparse_frames, np.zeros(len(flat), dtype=np.bool_)
     if quality.ambiguity is not None:
         ambiguous = np.isin(quality.posed, quality.ambiguity.frames[quality.ambiguity.n_places > 1])
-    covered = [(~sparse & ~ambiguous, "well covered", ".", 5, _GOOD)]
-    if 1 < len(paths) <= len(_RECORDINGS):  # more could not be told apart
-        covered = [
-            (covered[0][0] & (recording == k), f"recording {k + 1}, well covered", mark, 5, colour)
-            for k, (colour, mark) in zip(np.unique(recording).tolist(), _RECORDINGS.items(), strict=False)
+    well, numbers = ~sparse & ~ambiguous, np.unique(recording).tolist()
+    kinds = [(well, "well covered", ".", 5, _GOOD)]
+    if 1 < len(numbers) <= len(_RECORDINGS):  # more could not be told apart
+        kinds = [
+            (well & (recording == k), f"recording {k + 1}, well covered", mark, 5, colour)
+            for k, (colour, mark) in zip(numbers, _RECORDINGS.items(), strict=False)
         ]
-    for chosen, label, mark, size, colour in (
-        *covered,
-        (ambiguous, "ambiguous", "s", 9, _AMBIGUOUS),
-        (sparse, "sparsely covered", "x", 6, _SPARSE),
-    ):
+    kinds += [(ambiguous, "ambiguous", "s", 9, _AMBIGUOUS), (sparse, "sparsely covered", "x", 6, _SPARSE)]
+    for chosen, label, mark, size, colour in kinds:
         if chosen.any():
             style: dict[str, Any] = {"ms": size, "mfc": "none", "mew": 1.5, "color": colour, "zorder": 3}
             axis.plot(*flat[chosen].T, mark, label=f"{label} ({chosen.sum()})", **style)

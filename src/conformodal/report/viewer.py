@@ -101,7 +101,6 @@ def make_viewer(
         "n_shown": len(shown),
         "has_images": bool(images),
         "truth": truth is not None,
-        "trained": len(trained_xyz) > 0,
         "classical": classical is not None,
         "online": ONLINE in trajectories,
         "known": any(frame["kp"] is not None for frame in shown),

@@ -1,4 +1,4 @@
-// The plan: what was recorded, the region's boxes, the chosen path so far, the truth, and where the camera looks.
+// The plan: training frames, the region's boxes, the chosen path so far, the truth, and where the camera looks.
 const LEAST_FRAME = 20; // pixels: a place that is smaller has a frame of this size around it
 
 // Where the camera looks, from its quaternion wxyz: the third column of the rotation.
