@@ -55,12 +55,7 @@ def test_help_of_every_verb_explains_every_option():
 
 @pytest.mark.parametrize(
     ("words", "meant"),
-    [
-        ("tabel", "'table'"),
-        ("data chekc", "'check'"),
-        ("table fti a", "'fit'"),
-        ("train a --split x", "'x' is not one"),
-    ],
+    [("tabel", "'table'"), ("data chekc", "'check'"), ("table fti a", "'fit'"), ("train a --split x", "'x' is not")],
 )
 def test_what_is_mistyped_is_told_with_what_was_meant(words, meant):
     shown = refusal(*words.split())

@@ -346,3 +346,9 @@ def test_new_rows_that_lack_a_column_or_hold_another_kind_are_refused(tmp_path, 
     assert "--out" in refusal(
         "table", "predict", tmp_path / "reg.cm", tmp_path / "new.csv", "--out", tmp_path / "o.txt"
     )
+
+
+def test_last_rows_that_differ_are_told(tmp_path):
+    rows = [f"{i % 7},{i % 7 + 0.1 * (i % 11) + 50 * (i >= 240)}" for i in range(300)]
+    (tmp_path / "a.csv").write_text("\n".join(["x,y", *rows]))
+    assert "the data seem to drift" in run_ok("table", tmp_path / "a.csv", "--target", "y", "--split", "time").output

@@ -48,8 +48,7 @@ class _FitByDefault(Group):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Put ``fit`` before arguments that begin with an option or a file."""
         first = args[0] if args else "--help"
-        file = Path(first).suffix or Path(first).name != first or Path(first).exists()
-        if first not in (*self.commands, "--help") and (first.startswith("-") or file):
+        if first not in (*self.commands, "--help") and (not first.isalpha() or Path(first).exists()):
             args = ["fit", *args]
         return super().parse_args(ctx, args)
 
@@ -144,7 +143,7 @@ def fit(
     for line in str(diagnosis).splitlines():
         report_line(line)
     if split is Split.TIME and any(check.coverage < check.low for one in diagnosis.columns for _, check in one.rows()):
-        report_line("the data drift, it seems: fewer of the last rows are held than chance allows", bold=True)
+        report_line("the data seem to drift: the last rows are covered less often than chance allows", bold=True)
     if model is not None:
         others = frame.drop(columns=[*X, *y])
         reg.file_format_ = {
