@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray
+from conformodal.core.arrays import FloatArray, IntArray
 
 from .adjustment import MAD_OF_NORMAL, POSITIONS, Adjustment, Bundle, Observations, PosePriors
 from .camera import PinholeCamera
@@ -110,11 +110,14 @@ def _epipolar_errors_px(mounted: Mounted, matches: Matches, poses_se3: FloatArra
     return np.asarray(distance * (camera.fx + camera.fy) / 2)
 
 
-class TriangulatedRays(NamedTuple):
-    """Rays with the points of their corners."""
+class Sightings(NamedTuple):
+    """Rays that agree with the point of a corner that enough frames see, corner by corner."""
 
-    rays: Rays
-    points: Points
+    corner: IntArray  # (m,) whose point it is, and
+    number: IntArray  # (m,) the one that the ray goes through, among those of all frames
+    frame: IntArray  # (m,)
+    plane: FloatArray  # (m, 2) on the plane at depth 1
+    points: FloatArray  # (m, 3)
 
 
 class Tracks(NamedTuple):
@@ -173,47 +176,40 @@ class MapPoses:
         return np.concatenate((poses[:, :3, 3] - poses_se3[:, :3, 3], turns), axis=1)
 
 
-def choose_tracks(chunks: Sequence[TriangulatedRays], n_frames: int, tolerance: float) -> Tracks:
+def agreeing(rays: Rays, points: Points, tolerance: float) -> Sightings:
+    """The rays that agree with the points of their corners."""
+    R = rays.R_world_cam[rays.camera]
+    local = np.einsum("mba,mb->ma", R, np.nan_to_num(points.xyz[rays.corner]) - rays.centres[rays.camera])
+    ahead = local[:, 2] > 0
+    plane = local[:, :2] / np.where(ahead, local[:, 2], 1.0)[:, None]
+    near = np.linalg.norm(plane - rays.plane, axis=1) < tolerance
+    kept = points.reliable[rays.corner] & ahead & near
+    kept &= (np.bincount(rays.corner[kept], minlength=len(points.xyz)) >= _LEAST_VIEWS)[rays.corner]
+    corner, first = rays.corner[kept], rays.number[rays.first]
+    return Sightings(first[corner], rays.number[kept], rays.camera[kept], rays.plane[kept], points.xyz[corner])
+
+
+def choose_tracks(chunks: Sequence[Sightings], n_frames: int) -> Tracks:
     """Long tracks, so many that each frame has enough.
 
     A corner is in one track at most, so no observation counts twice.
     """
-    agreeing = [_agreeing(chunk, tolerance) for chunk in chunks]
-    chosen = list(zip(chunks, agreeing, strict=True))
-    ray_number = np.concatenate([chunk.rays.number[keep] for chunk, keep in chosen])
-    own_number = np.concatenate(
-        [chunk.rays.number[chunk.rays.first[chunk.rays.corner]][keep] for chunk, keep in chosen]
-    )
-    frame = np.concatenate([chunk.rays.camera[keep] for chunk, keep in chosen])
-    plane = np.concatenate([chunk.rays.plane[keep] for chunk, keep in chosen])
-    points = np.concatenate([chunk.points.xyz[chunk.rays.corner[keep]] for chunk, keep in chosen])
-    starts = np.flatnonzero(np.diff(own_number, prepend=-1))
-    counts = np.diff(np.append(starts, len(own_number)))
-    used = np.zeros(int(max(ray_number.max(initial=0), own_number.max(initial=0))) + 1, dtype=bool)
+    corner, number, frame, plane, points = map(np.concatenate, zip(*chunks, strict=True))
+    starts = np.flatnonzero(np.diff(corner, prepend=-1))
+    counts = np.diff(np.append(starts, len(corner)))
+    used = np.zeros(int(max(number.max(initial=0), corner.max(initial=0))) + 1, dtype=bool)
     tracks_per_frame = np.zeros(n_frames, int)
     rows: list[IntArray] = []
     order = np.argsort(-counts, kind="stable")
-    order = order[counts[order] >= _LEAST_VIEWS]
     for start, end in zip(starts[order].tolist(), (starts + counts)[order].tolist(), strict=True):
-        if used[own_number[start]]:
+        if used[corner[start]]:
             continue
-        unused = np.arange(start, end)[~used[ray_number[start:end]]]
+        unused = np.arange(start, end)[~used[number[start:end]]]
         if len(unused) >= _LEAST_VIEWS and tracks_per_frame[frame[unused]].min() < _TRACKS:
-            used[ray_number[unused]] = True
+            used[number[unused]] = True
             tracks_per_frame[frame[unused]] += 1
             rows.append(unused)
     if not rows:
         return Tracks(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)))
     every, point = np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(track) for track in rows])
     return Tracks(points[[track[0] for track in rows]], point, frame[every], plane[every])
-
-
-def _agreeing(chunk: TriangulatedRays, tolerance: float) -> BoolArray:
-    """Which rays (m,) agree with the point of their corner."""
-    rays = chunk.rays
-    R = rays.R_world_cam[rays.camera]
-    local = np.einsum("mba,mb->ma", R, np.nan_to_num(chunk.points.xyz[rays.corner]) - rays.centres[rays.camera])
-    ahead = local[:, 2] > 0
-    plane = local[:, :2] / np.where(ahead, local[:, 2], 1.0)[:, None]
-    near = np.linalg.norm(plane - rays.plane, axis=1) < tolerance
-    return np.asarray(chunk.points.reliable[rays.corner] & ahead & near)

@@ -21,7 +21,8 @@ from conformodal.geometry.map_poses import (
     MapPoses,
     Matches,
     Mounted,
-    TriangulatedRays,
+    Sightings,
+    agreeing,
     choose_tracks,
     fit_camera,
 )
@@ -63,18 +64,18 @@ def triangulate_frames(
     before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
     chunks = [range(a, min(a + _FRAMES_AT_A_TIME, len(features))) for a in range(0, len(features), _FRAMES_AT_A_TIME)]
 
-    def triangulated(few: range, current: MapPoses, most: int) -> TriangulatedRays:
-        rays = _rays(few, pairs, features, current, before, most)
-        return TriangulatedRays(rays, triangulate(rays, _tolerance(current)))
+    def sightings(few: range, current: MapPoses) -> Sightings:
+        rays = _rays(few, pairs, features, current, before, _MOST_TRACKED)
+        return agreeing(rays, triangulate(rays, _tolerance(current)), _tolerance(current))
 
     def landmarks(few: range) -> Points:
-        return triangulated(few, current, max(len(one.pixels) for one in features)).points
+        every = max(len(one.pixels) for one in features)
+        return triangulate(_rays(few, pairs, features, current, before, every), _tolerance(current))
 
     sigmas = np.repeat([SIGMA_RAD, SIGMA_DEPTHS * depth_m], 3)
     current = MapPoses(mounted, poses_se3 @ mounted.T_pose_cam, sigmas)
     for _ in range(ROUNDS):
-        parts = in_threads(partial(triangulated, current=current, most=_MOST_TRACKED), chunks)
-        tracks = choose_tracks(parts, len(features), _tolerance(current))
+        tracks = choose_tracks(in_threads(partial(sightings, current=current), chunks), len(features))
         if len(tracks.frame) < LEAST_PER_FRAME * len(features):
             break
         current = current.adjusted(poses_se3, tracks)
