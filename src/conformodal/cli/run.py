@@ -62,10 +62,7 @@ _FRAMES, _APART, _FOCALS = 8, 30, 0.35 * 1.12 ** np.arange(15)
 
 def run(
     model: SavedModel,
-    sources: Annotated[
-        list[str],
-        typer.Argument(metavar="SOURCE...", help="Data sets, a video, a ROS recording (.bag, .mcap), or camera:0."),
-    ],
+    sources: Annotated[list[str], typer.Argument(metavar="SOURCE...", help="Data, video, .bag, .mcap, or camera:0.")],
     out: Annotated[Path, typer.Option(help="Folder for the results.", rich_help_panel=OUTPUT_PANEL)],
     layout: DataLayout = Layout.AUTO,
     part: Annotated[Part, _data(help="test: the test part of the model's own data set.")] = Part.ALL,
@@ -76,7 +73,7 @@ def run(
     alpha: Annotated[float | None, typer.Option(help="Another miscoverage rate than the model was saved with.")] = None,
     view: Annotated[bool, _show("--view", help="Show it live in Rerun (extra 'view').")] = False,
     save: Annotated[
-        Path | None, _show(help="Record: .rrd for Rerun (extra 'view'), .mcap with ROS 2 messages (extra 'ros').")
+        Path | None, _show(help="Record: .rrd of Rerun (extra 'view'), .mcap of ROS 2 (extra 'ros').")
     ] = None,
     save_images: Annotated[bool, _show("--save-images", help="Keep the images in the .mcap too.")] = False,
     quiet: Quiet = False,

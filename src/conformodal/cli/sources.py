@@ -26,20 +26,19 @@ from conformodal.io.streams import open_stream
 from conformodal.io.streams.bag import BagStream
 from conformodal.io.streams.frames import FrameStream, RecordingStream
 
-from .console import OptionError, report_line, warning_lines
+from .console import OUTPUT_PANEL, OptionError, report_line, warning_lines
 
 _MOST_NOTES = 5
 
 DATA_PANEL = "Data and split"
 AllData = Annotated[list[Path], typer.Argument(metavar="DATA...", help="Images with poses, in one world frame.")]
-Data = Annotated[Path, typer.Argument(help="Data set: images with poses.")]
 SavedModel = Annotated[Path, typer.Argument(help="Folder of a saved model.")]
 DataLayout = Annotated[Layout, typer.Option("--format", help="Layout of the data set.", rich_help_panel=DATA_PANEL)]
 MaxGap = Annotated[float, typer.Option(min=0, help="Longest gap, seconds, between two poses to interpolate between.")]
 TimeOffset = Annotated[float, typer.Option(help="Seconds to add to the times of the poses.")]
 Focal = Annotated[float | None, typer.Option(help="Pixels, of images without a camera.", rich_help_panel=DATA_PANEL)]
 Camera = Annotated[Path | None, typer.Option(help="camera-intrinsics.txt (3x3), or its folder, of a video or device.")]
-Cache = Annotated[Path | None, typer.Option(help="Cache folder; ~/.cache/conformodal by default.")]
+Cache = Annotated[Path | None, typer.Option(help="Default: ~/.cache/conformodal.", rich_help_panel=OUTPUT_PANEL)]
 
 
 def cache_folder(cache: Path | None) -> Path:

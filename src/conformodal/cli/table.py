@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from difflib import get_close_matches
 from enum import StrEnum
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,7 +26,7 @@ from conformodal.core.arrays import AnyArray, evenly_spread
 from conformodal.core.extras import require_extra
 from conformodal.core.words import counted, listed, readable
 
-from .console import AsJson, Group, Quiet, print_json, report_line, warning_lines
+from .console import OUTPUT_PANEL, AsJson, Group, Quiet, print_json, report_line, warning_lines
 from .table_csv import CsvFormat, TableError, read_table
 from .table_predict import predict
 
@@ -39,7 +40,10 @@ _INDEX = r"column 1|index|Unnamed: \d+"  # the first of them stands for no name
 _TOTAL = (
     r"(?i)(grand |sub|sub-)?totals?|(grand )?total .*|sums?|summe|gesamt|insgesamt|somme|totale|suma|average|mean|Σ"
 )
-_READING = "How the file is written"
+_data, _reading, _output = (
+    partial(typer.Option, rich_help_panel=panel)
+    for panel in ("Rows and regions", "How the file is written", OUTPUT_PANEL)
+)
 
 
 class _FitByDefault(Group):
@@ -67,39 +71,21 @@ class Split(StrEnum):
 @app.command()
 def fit(
     file: Annotated[Path, typer.Argument(help="CSV file with a line of column names, or a Parquet file.")],
-    target: Annotated[list[str], typer.Option(help="Column to predict; repeat it for several, covered together.")],
-    group: Annotated[
-        str | None, typer.Option(help="Column whose values are groups: coverage is guaranteed in each.")
-    ] = None,
-    exclude: Annotated[
-        list[str] | None, typer.Option(help="Column to leave out, such as one known after the target; repeatable.")
-    ] = None,
-    unit: Annotated[
-        str | None, typer.Option(help="Column that names what rows were drawn together in, such as a subject.")
-    ] = None,
-    split: Annotated[
-        Split, typer.Option(help="Rows to test and calibrate on: drawn at random, or the last in time.")
-    ] = Split.RANDOM,
-    sep: Annotated[str | None, typer.Option(help="Separator; recognised by default.", rich_help_panel=_READING)] = None,
-    decimal: Annotated[
-        str | None, typer.Option(help="Mark before decimals; recognised by default.", rich_help_panel=_READING)
-    ] = None,
-    thousands: Annotated[
-        str | None, typer.Option(help="Mark between thousands; none by default.", rich_help_panel=_READING)
-    ] = None,
-    na_values: Annotated[
-        list[str] | None, typer.Option(help="Text that means a missing value; repeatable.", rich_help_panel=_READING)
-    ] = None,
-    alpha: Annotated[str, typer.Option(help="Miscoverage rate.")] = "0.1",
-    y_min: Annotated[float, typer.Option("--min", help="Value that no target falls below, such as 0.")] = -np.inf,
-    y_max: Annotated[float, typer.Option("--max", help="Value that no target exceeds.")] = np.inf,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the split and of the learner.")] = 0,
-    plot: Annotated[
-        Path | None, typer.Option(help="Picture of sets and coverage, .svg, .png or .pdf; needs the extra 'figures'.")
-    ] = None,
-    model: Annotated[
-        Path | None, typer.Option(help="File for the fitted regressor, for 'table predict'; needs the extra 'save'.")
-    ] = None,
+    target: Annotated[list[str], _data(help="Column to predict; repeat it for several, covered together.")],
+    group: Annotated[str | None, _data(help="Column of groups; coverage is guaranteed in each.")] = None,
+    exclude: Annotated[list[str] | None, _data(help="Column to leave out, such as what follows the target.")] = None,
+    unit: Annotated[str | None, _data(help="Column that names what rows belong to, such as a subject.")] = None,
+    split: Annotated[Split, _data(help="Rows that test and calibrate: at random, or the last.")] = Split.RANDOM,
+    sep: Annotated[str | None, _reading(help="Separator; recognised by default.")] = None,
+    decimal: Annotated[str | None, _reading(help="Mark before decimals; recognised by default.")] = None,
+    thousands: Annotated[str | None, _reading(help="Mark between thousands; none by default.")] = None,
+    na_values: Annotated[list[str] | None, _reading(help="Text that means a missing value; repeatable.")] = None,
+    alpha: Annotated[str, _data(help="Miscoverage rate.")] = "0.1",
+    y_min: Annotated[float, _data("--min", help="Value that no target falls below, such as 0.")] = -np.inf,
+    y_max: Annotated[float, _data("--max", help="Value that no target exceeds.")] = np.inf,
+    seed: Annotated[int, _data(min=0, help="Seed of the split and of the learner.")] = 0,
+    plot: Annotated[Path | None, _output(help="Picture (.svg, .png, .pdf); needs the extra 'figures'.")] = None,
+    model: Annotated[Path | None, _output(help="Regressor for 'table predict'; needs the extra 'save'.")] = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
