@@ -19,7 +19,7 @@ def pytest_collection_finish() -> None:  # not before coverage has begun
     """Processes that test at the same time share the cores."""
     n_workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     if n_workers > 1:
-        from conformodal.features.networks import limit_threads
+        from experiments.tasks import limit_threads
 
         limit_threads(max(1, (os.cpu_count() or 1) // n_workers))
 

@@ -17,8 +17,9 @@ import typer
 from matplotlib.figure import Figure
 
 from conformodal.cli.console import print_where, progress_bars, report_errors, report_line
-from conformodal.cli.sources import Cache, Data, DataLayout
+from conformodal.cli.sources import Cache, DataLayout
 from conformodal.core.arrays import FloatArray
+from conformodal.core.parallel import Engine
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
@@ -50,6 +51,7 @@ from .table1 import (
     ALL_NETWORKS,
     EPOCHS,
     Address,
+    Data,
     Epochs,
     Networks,
     Others,
@@ -63,7 +65,7 @@ from .table1 import (
     data_digest,
     opened,
 )
-from .tasks import Engine, ExperimentError
+from .tasks import ExperimentError
 from .worker import write_run
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)

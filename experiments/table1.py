@@ -19,8 +19,9 @@ import numpy as np
 import typer
 
 from conformodal.cli.console import OptionError, print_where, progress_bars, report_errors, report_line
-from conformodal.cli.sources import Cache, Data, DataLayout, cache_folder, open_sequence
+from conformodal.cli.sources import Cache, DataLayout, cache_folder, open_sequence
 from conformodal.core.files import write_whole
+from conformodal.core.parallel import Engine
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig, check_network
 from conformodal.io import Layout, Recording, SplitKind
@@ -33,7 +34,7 @@ from conformodal.pipeline.results import write_metrics
 from .baselines import BASELINES
 from .conditions import NETWORKS, Row, TrainingTask, rows_of, tasks_of
 from .tables import notes_on, page, tidy
-from .tasks import Engine, run_tasks
+from .tasks import run_tasks
 from .worker import Table1Worker
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -75,6 +76,7 @@ class WhichBaselines(StrEnum):
         return tuple(name for name, kind in BASELINES.items() if kind.by_default or self is WhichBaselines.ALL)
 
 
+Data = Annotated[Path, typer.Argument(help="Data set: images with poses.")]
 Out = Annotated[Path, typer.Option(help="Folder for results; a run that was stopped goes on from there.")]
 Which = Annotated[Systems, typer.Option(help="all; or paper: the paper's system and regressors on its features.")]
 Others = Annotated[WhichBaselines, typer.Option(help="Beside ours. all: also networks, each with a search.")]

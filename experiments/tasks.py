@@ -4,34 +4,26 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
-from enum import StrEnum
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
-from joblib import Parallel, delayed, parallel_config
+import cv2
+import torch
+from joblib import Parallel, delayed
 from joblib.externals.loky import get_reusable_executor
 from joblib.externals.loky.process_executor import TerminatedWorkerError
+from threadpoolctl import threadpool_limits
 
 from conformodal.conformal import ConformodalError
 from conformodal.core.files import write_whole
-from conformodal.features.networks import limit_threads
+from conformodal.core.parallel import Engine, parallel_workers
 
 Result: TypeAlias = dict[str, Any]
-
-_RETRIES = 3  # of a task on Ray whose worker is lost
 
 
 class ExperimentError(ConformodalError):
     """An experiment whose parts do not fit together."""
-
-
-class Engine(StrEnum):
-    """Where tasks run."""
-
-    LOCAL = "local"
-    RAY = "ray"
 
 
 class Task(Protocol):
@@ -98,18 +90,11 @@ def run_tasks(
     report()
     n_jobs = min(workers or 1, max(len(missing), 1))
     threads = None if n_jobs == 1 else max(1, (os.cpu_count() or 1) // n_jobs)
-    options: dict[str, Any] = {
-        "backend": "loky",
-        "n_jobs": n_jobs,
-        "max_nbytes": None,
-    }  # no files of this machine alone
-    yields = "generator_unordered"
-    if engine is Engine.RAY:
-        threads, yields = 1, "list"  # the CPU that a worker asked for; joblib gets no generator from Ray
-        lost = {"max_restarts": _RETRIES, "max_task_retries": _RETRIES}
-        options |= {"backend": "ray", "n_jobs": workers or -1, "ray_remote_args": lost}
+    yields, number = "generator_unordered", n_jobs
+    if engine is Engine.RAY:  # the CPU that a worker asked for; joblib gets no generator from Ray
+        threads, yields, number = 1, "list", workers or -1
     if missing:
-        with _on_ray(address) if engine is Engine.RAY else nullcontext(), parallel_config(**options):
+        with parallel_workers(number, engine, address):
             jobs = (delayed(_finish)(work, i, tasks[i], paths[i], threads) for i in missing)
             try:
                 for i, result in Parallel(return_as=yields, batch_size=1, pre_dispatch="all")(jobs):
@@ -135,6 +120,14 @@ def _finish(work: Callable[[Any], Result], i: int, task: Task, path: Path, threa
     return i, result
 
 
+def limit_threads(threads: int) -> None:
+    """Limit torch, ONNX Runtime, OpenCV and linear algebra to so many threads each, for the rest of this process."""
+    os.environ["OMP_NUM_THREADS"] = str(threads)  # which the package's pools keep to
+    torch.set_num_threads(threads)
+    cv2.setNumThreads(threads)
+    threadpool_limits(threads)
+
+
 def _stored(path: Path, settings: Result) -> Result | None:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
@@ -144,27 +137,3 @@ def _stored(path: Path, settings: Result) -> Result | None:
         return None
     result = record.get("result")
     return result if isinstance(result, dict) else None
-
-
-@contextmanager
-def _on_ray(address: str | None) -> Iterator[None]:
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is told to anyone
-    # a thread that a failed task leaves behind must not connect again
-    os.environ.setdefault("RAY_ENABLE_AUTO_CONNECT", "0")
-    try:
-        import ray  # noqa: PLC0415 - an extra
-        from ray.util.joblib import register_ray  # noqa: PLC0415
-    except ModuleNotFoundError as exc:
-        raise ExperimentError("--engine ray needs Ray: pip install 'conformodal[ray]'") from exc
-    ours = not ray.is_initialized()
-    if ours:
-        try:
-            ray.init(address=address, include_dashboard=False, log_to_driver=False)
-        except (ConnectionError, ValueError, RuntimeError) as exc:
-            raise ExperimentError(f"no Ray cluster at {address!r}: {exc}") from exc
-    try:
-        register_ray()
-        yield
-    finally:
-        if ours:
-            ray.shutdown()

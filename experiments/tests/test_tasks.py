@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from experiments.tasks import Engine, ExperimentError, run_tasks
+from conformodal.core.errors import ConformodalError
+from conformodal.core.parallel import Engine
+from experiments.tasks import ExperimentError, run_tasks
 
 os.environ.setdefault("RAY_ENABLE_AUTO_CONNECT", "0")  # as run_tasks sets it; read when ray is imported
 ROOT = Path(__file__).resolve().parents[2]
@@ -164,15 +166,15 @@ def test_a_ray_cluster_of_two_nodes_shares_the_work_and_raises_errors_here(tmp_p
 def test_a_cluster_that_is_not_there_is_named(tmp_path, monkeypatch):
     ray = pytest.importorskip("ray")
 
-    def refuse(**_):  # Ray itself tries for minutes
+    def refuse(*_, **__):  # Ray itself tries for minutes
         raise ConnectionError("nobody answers")
 
     monkeypatch.setattr(ray, "init", refuse)
-    with pytest.raises(ExperimentError, match=r"no Ray cluster at '127\.0\.0\.1:1': nobody answers"):
+    with pytest.raises(ConformodalError, match=r"no Ray cluster at '127\.0\.0\.1:1': nobody answers"):
         run_tasks([Square(1)], Counting(), tmp_path, engine=Engine.RAY, address="127.0.0.1:1")
 
 
 def test_ray_that_is_not_installed_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ExperimentError, match=r"pip install 'conformodal\[ray\]'"):
+    with pytest.raises(ConformodalError, match=r"pip install 'conformodal\[ray\]'"):
         run_tasks([Square(1)], Counting(), tmp_path, engine=Engine.RAY)

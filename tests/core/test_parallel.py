@@ -8,7 +8,7 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from conformodal.core.errors import ConformodalError
-from conformodal.core.parallel import in_threads, in_workers
+from conformodal.core.parallel import Engine, in_threads, in_workers, parallel_workers
 
 
 @pytest.fixture
@@ -80,13 +80,13 @@ def test_a_process_that_is_killed_is_named(tmp_path):
 
 @pytest.mark.slow
 def test_ray_does_again_what_a_killed_worker_was_at(tmp_path):
-    """As docs/howto/many-recordings.md has it."""
-    ray, register_ray = pytest.importorskip("ray"), pytest.importorskip("ray.util.joblib").register_ray
-    again = {"max_restarts": 3, "max_task_retries": 3}
-    with ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False):
-        register_ray()
-        with joblib.parallel_config(backend="ray", n_jobs=2, ray_remote_args=again):
-            results = in_workers(killed_once(tmp_path / "killed"), range(6))
-    assert (tmp_path / "killed").exists()
-    assert [item for item, _ in results] == list(range(6))
-    assert os.getpid() not in {process for _, process in results}
+    pytest.importorskip("ray")
+    with parallel_workers(2, Engine.RAY, "local"):
+        items, processes = zip(*in_workers(killed_once(mark := tmp_path / "killed"), range(6)), strict=True)
+    assert (mark.exists(), *items) == (True, *range(6))
+    assert os.getpid() not in processes
+
+
+def test_an_address_without_a_cluster_is_refused():
+    with pytest.raises(ConformodalError, match="an address needs the engine 'ray', got 'host:6379'"):
+        parallel_workers(2, address="host:6379").__enter__()

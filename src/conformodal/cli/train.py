@@ -10,9 +10,9 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from joblib import parallel_config
 
 from conformodal.core.extras import require_extra
+from conformodal.core.parallel import Engine, parallel_workers
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.features.extract import FeatureCache
@@ -60,14 +60,11 @@ def train(
     joint: Annotated[str, _calibration(help="alpha is of max: whole poses; none: each number.")] = ModelConfig.joint,
     score: Annotated[str, _calibration(help="hpd, hpd_random, aps, density, lac (the paper's).")] = ModelConfig.score,
     calibrate_on: Annotated[
-        Calibration,
-        _calibration(
-            "--calibration",
-            help="frames: the calibration part; stretches (or recordings): each answered by sources that did not see "
-            "it; auto: frames for --split interleaved, else stretches.",
-        ),
+        Calibration, _calibration("--calibration", help="auto: frames for --split interleaved, else unseen stretches.")
     ] = ModelConfig.calibrate_on,
-    workers: Annotated[int, _model(min=1, help="Processes that train folds; results do not depend on it.")] = 1,
+    workers: Annotated[int, _model(min=1, help="Folds trained at a time; results do not depend on it.")] = 1,
+    engine: Annotated[Engine, _model(help="Where workers are: here, or on a Ray cluster.")] = Engine.LOCAL,
+    address: Annotated[str | None, _model(help="Of the Ray cluster; by default one that Ray finds or starts.")] = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -102,7 +99,7 @@ def train(
     with lock_output(out, "train", apart=[*data, *([] if held_out is None else [held_out])]):
         feature_cache = FeatureCache(cache_folder(cache))
         sequence = open_sequences(data, layout, test=held_out, trust_poses=trust_poses, focal=focal)
-        with progress_bars(out) as report, parallel_config(n_jobs=workers):
+        with progress_bars(out) as report, parallel_workers(workers, engine, address):
             train_on(sequence, config, out, features=feature_cache, report=report)
     print_where(out)
 

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import ContextVar, copy_context
+from enum import StrEnum
 from functools import cache
 from threading import Event
 from typing import TypeVar
 
-from joblib import Parallel, cpu_count, delayed
+from joblib import Parallel, cpu_count, delayed, parallel_config
 from joblib.externals.loky.process_executor import BrokenProcessPool
 from threadpoolctl import ThreadpoolController
 
 from .errors import ConformodalError
+from .extras import require_extra
 from .progress import Progress
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+_AGAIN = {"max_restarts": 3, "max_task_retries": 3}  # what a cluster's lost worker was at, so often
 
 # set when a call of in_threads that the thread works for has failed, for those around the innermost one too
 _failed: ContextVar[tuple[Event, ...]] = ContextVar("failed", default=())
@@ -71,6 +75,40 @@ def in_workers(work: Callable[[Item], Result], items: Sequence[Item], progress: 
     except BrokenProcessPool:
         raise ConformodalError("a worker process was killed, perhaps for its memory: take fewer workers") from None
     return results
+
+
+class Engine(StrEnum):
+    """Whose processes workers are: those of this machine, or of a Ray cluster."""
+
+    LOCAL = "local"
+    RAY = "ray"
+
+
+@contextmanager
+def parallel_workers(number: int, engine: Engine = Engine.LOCAL, address: str | None = None) -> Iterator[None]:
+    """So many workers for joblib, -1 for all; of the cluster at an address, by default of one that Ray finds or starts.
+
+    What a cluster's lost worker was at is done again.
+    """
+    if engine is Engine.LOCAL:
+        if address is not None:
+            raise ConformodalError(f"an address needs the engine 'ray', got {address!r}")
+        with parallel_config(n_jobs=number):
+            yield
+        return
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is told to anyone
+    # a thread that failed work leaves behind must not connect again
+    os.environ.setdefault("RAY_ENABLE_AUTO_CONNECT", "0")
+    with require_extra("ray", "the engine 'ray'"):
+        import ray  # noqa: PLC0415 - an extra
+        from ray.util.joblib import register_ray  # noqa: PLC0415
+    try:
+        with ray.init(address, include_dashboard=False, log_to_driver=False, logging_level="error"):
+            register_ray()
+            with parallel_config(backend="ray", n_jobs=number, max_nbytes=None, ray_remote_args=_AGAIN):
+                yield
+    except ConnectionError as exc:
+        raise ConformodalError(f"no Ray cluster at {address!r}: {exc}") from exc
 
 
 def _alone(work: Callable[[Item], Result], item: Item) -> Result:

@@ -8,17 +8,14 @@ downloaded. Weights are read as tensors, and no code of a model is run.
 from __future__ import annotations
 
 import hashlib
-import os
 from dataclasses import asdict
 from functools import lru_cache
 from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 import torch
-from threadpoolctl import threadpool_limits
 from torch import nn
 
 from conformodal.core.arrays import Float32Array, UInt8Array
@@ -49,14 +46,6 @@ def default_block(name: str) -> int:
     """The last block, or hidden state, with as many channels as the first at a sixteenth of the resolution."""
     check_network(name)
     return NETWORKS[name] if name in NETWORKS else _hub_block(name)
-
-
-def limit_threads(threads: int) -> None:
-    """Limit torch, ONNX Runtime, OpenCV and linear algebra to so many threads each, for the rest of this process."""
-    os.environ["OMP_NUM_THREADS"] = str(threads)  # which our own pools keep to
-    torch.set_num_threads(threads)
-    cv2.setNumThreads(threads)
-    threadpool_limits(threads)
 
 
 class Network(nn.Module):
