@@ -283,5 +283,5 @@ def describe_coverage(coverage: dict[str, Any]) -> str:
     if not n_bounded:
         return f"{open_ended}, which says nothing of coverage"
     held, share = round(coverage["bounded_coverage"] * n_bounded), 100 * coverage["bounded_coverage"]
-    verb = noun_for(held, "holds", "hold")
-    return f"{held} of {counted(n_bounded, 'bounded region')} ({share:.1f} %) {verb} the whole pose; {open_ended}"
+    verb = noun_for(held, "contains", "contain")
+    return f"{held} of {counted(n_bounded, 'bounded region')} ({share:.1f} %) {verb} the true pose; {open_ended}"

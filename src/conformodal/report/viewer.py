@@ -188,7 +188,8 @@ def _describe_frame(frame: dict[str, Any], unit: str, *, holds_pose: bool) -> st
     bounded = kind in ("one place", "several places")
     if bounded:
         size = " x ".join(f"{max(_lengths(intervals)):.3f}" for intervals in frame["iv"])
-        lines = [f"The region names {counted(len(frame['bx']), 'place')}, {size} {unit} at most."]
+        most = "up to " if kind == "several places" else ""
+        lines = [f"The region is {counted(len(frame['bx']), 'place')} of {most}{size} {unit}."]
         if not holds_pose:
             lines.append("The chosen pose lies outside it.")
     else:
