@@ -1,6 +1,6 @@
 """What a room costs, and how exactly it is localised, alone and beside other rooms in one world.
 
-python benchmarks/growth.py [--seeds 30] [--rooms 1 2 4]
+python benchmarks/growth.py [--seeds 30] [--rooms 1 2 4 8]
 
 The first room is redkitchen, the second fr1_desk with fr1_xyz, the others are rendered corridors with textures of their
 own, all brought to one camera and 20 m apart. Each world is a process of its own, on an empty cache; numbers are kept.
@@ -54,8 +54,8 @@ def room(number: int, runs: Path) -> list[Recording]:
     return recordings
 
 
-def measured(n_rooms: int, seed: int, runs: Path) -> dict[str, Any]:
-    """Costs of a world, and errors and regions of the first room's test frames."""
+def measured(n_rooms: int, seed: int, runs: Path, *, only_train: bool) -> dict[str, Any]:
+    """Costs of a world, and errors and regions of the first room's test frames, unless only to train."""
     recordings = [recording for number in range(n_rooms) for recording in room(number, runs)]
     world, folder = join_recordings(recordings), runs / f"model-{n_rooms}-{seed}"
     if not (folder / "costs.json").is_file():
@@ -66,6 +66,8 @@ def measured(n_rooms: int, seed: int, runs: Path) -> dict[str, Any]:
         costs = {"train_cpu_s": time.process_time() - began, "peak_mb": peak_mb()}
         save_model(model, folder)
         (folder / "costs.json").write_text(json.dumps(costs), encoding="utf-8")
+    if only_train:
+        return {}
     model, costs = load_model(folder), json.loads((folder / "costs.json").read_text(encoding="utf-8"))
     frames = model.split.test[model.split.test < len(recordings[0])]
     began = time.process_time()
@@ -98,24 +100,29 @@ def draw(rooms: list[int], results: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     parser = parser_with_seeds(__doc__, seeds=(30,))
-    parser.add_argument("--rooms", type=int, nargs="+", default=[1, 2, 4])
+    parser.add_argument("--rooms", type=int, nargs="+", default=[1, 2, 4, 8])
     parser.add_argument("--row", action="store_true", help="measure one world in this process")
+    parser.add_argument("--train", action="store_true", help="with --row: train alone")
     options, runs = parser.parse_args(), RUNS / "growth"
     runs.mkdir(parents=True, exist_ok=True)
     if options.row:
-        print(json.dumps(measured(options.rooms[0], options.seeds[0], runs)))
+        print(json.dumps(measured(options.rooms[0], options.seeds[0], runs, only_train=options.train)))
         return
 
-    def row(n_rooms: int, seed: int) -> Any:
-        words = [sys.executable, __file__, "--row", "--rooms", str(n_rooms), "--seeds", str(seed)]
+    def row(n_rooms: int, seed: int, *more: str) -> Any:
+        words = [sys.executable, __file__, "--row", "--rooms", str(n_rooms), "--seeds", str(seed), *more]
         finished = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
         return json.loads(finished.stdout.splitlines()[-1])
 
     def world(n: int) -> list[Any]:
         return [cached_json(runs / f"{n}-{seed}.json", partial(row, n, seed)) for seed in options.seeds]
 
+    for number in range(max(options.rooms)):
+        room(number, runs)  # is rendered once
     rows, results = [], []
-    for n, each in zip(options.rooms, Parallel(2, prefer="threads")(map(delayed(world), options.rooms)), strict=True):
+    pairs = [(n, seed, "--train") for n in sorted(options.rooms, reverse=True) for seed in options.seeds]
+    Parallel(2, prefer="threads")(delayed(row)(*pair) for pair in pairs)
+    for n, each in zip(options.rooms, map(world, options.rooms), strict=True):  # one at a time, for their times
         mean = {key: np.mean([one[key] for one in each], axis=0) for key in each[0]}
         results.append(mean)
         lengths = ", ".join(f"{value:.1f}" for value in mean["length_mm"])

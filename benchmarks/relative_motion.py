@@ -15,15 +15,14 @@ from scipy.spatial.transform import Rotation
 from conformodal.corridor import write_corridor
 from conformodal.geometry import RelativeMotion, Trajectory
 from conformodal.io import Recording, read_recording
-from conformodal.tracking.relative_pose import TwoViewSolver, solve_opencv, solve_poselib
 from conformodal.tracking.tracker import MotionFrontEnd
 
 N_FRAMES = 1000
 
 
-def measure(sequence: Recording, stride: int, solver: TwoViewSolver) -> list[tuple[int, RelativeMotion]]:
+def measure(sequence: Recording, stride: int) -> list[tuple[int, RelativeMotion]]:
     """Frames at the end of a stride, and their motion since its start."""
-    front_end = MotionFrontEnd(sequence.camera, solver=solver)
+    front_end = MotionFrontEnd(sequence.camera)
     motions = []
     for i in range(min(N_FRAMES, len(sequence))):
         image = sequence.image(i)
@@ -40,11 +39,9 @@ def jitter_m(truth: Trajectory) -> float:
     return float(np.median(np.abs(fourth)) / 0.6745 / np.sqrt(70))
 
 
-def row(
-    name: str, sequence: Recording, stride: int, solver: TwoViewSolver = solve_poselib, jitter: float = 0.0
-) -> list[str]:
+def row(name: str, sequence: Recording, stride: int, jitter: float = 0.0) -> list[str]:
     poses = sequence.require_truth().poses_se3
-    motions = measure(sequence, stride, solver)
+    motions = measure(sequence, stride)
     rotation_deg, rotation_z, direction_deg, direction_z, trusted_deg = [], [], [], [], []
     for i, motion in motions:
         truth = np.linalg.inv(poses[i - stride]) @ poses[i]
@@ -86,10 +83,8 @@ def main() -> None:
         video = read_recording(REDKITCHEN)
         jitter = jitter_m(video.require_truth())
         rows = [row("redkitchen 640x480", video, s, jitter=jitter) for s in (1, 5, 10)]
-        rows += [row("the same, OpenCV's five points", video, s, solve_opencv, jitter) for s in (1, 5)]
         rows += [row("corridor 160x120", corridor, s) for s in (1, 3, 5)]
         rows += [row("KITTI 06 1226x370", read_kitti(), 1)]
-        rows += [row("the same, OpenCV's five points", read_kitti(), 1, solve_opencv)]
     header = ["data", "stride", "rotation error, deg (median / 90 %)", "direction error, deg (median / 90 %)"]
     header += ["share with direction", "where trusted", "share trusted"]
     header += ["error / claimed spread (rotation / direction)"]

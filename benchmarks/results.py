@@ -35,15 +35,15 @@ UNITS = {
     "cameras": Unit("cameras.py", 45, 2),
     "recordings": Unit("recordings.py", 14, 1, ("cameras",)),
     "unseen": Unit("unseen.py", 14),
-    "frame_rates": Unit("frame_rates.py", 12),
     "landmarks": Unit("landmarks.py", 8),
     "relative_motion": Unit("relative_motion.py", 4),
     "joint": Unit("joint.py", 4),
     "conditional": Unit("conditional.py", 2),
     "peers": Unit("peers/run.py --measure", 35, 2),
-    "growth": Unit("growth.py", 12, 2),
+    "growth": Unit("growth.py", 20, 2),
     "table1": Unit("table1.py --seeds 1 --first-seed 30", 28, 2),
-    "streaming": Unit("streaming.py", 8, 2),  # timings: nothing beside it
+    "costs": Unit("costs.py", 10, 2),  # timings: nothing beside it
+    "streaming": Unit("streaming.py", 15, 2),
 }
 
 

@@ -84,7 +84,7 @@ Epochs = Annotated[int, typer.Option(min=1, help="Of every training.")]
 Networks = Annotated[str, typer.Option(help="A small, a middle and a large network, separated by commas.")]
 Where = Annotated[Engine, typer.Option(help="This machine, or a Ray cluster (extra 'ray').")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Trainings at a time; 1, or with ray the cluster's CPUs.")]
-Address = Annotated[str | None, typer.Option(help="Of the Ray cluster; one on this machine alone by default.")]
+Address = Annotated[str | None, typer.Option(help="Of the Ray cluster; by default one that Ray finds or starts.")]
 
 
 @dataclass(frozen=True)

@@ -67,12 +67,12 @@ def run_tasks(
         Tasks at a time. One runs in this process with all cores; several share the cores. None is one on this machine,
         and every CPU of a cluster.
     engine, address
-        Where; and the address of a running Ray cluster. Without one, Ray starts on this machine.
+        Where; and the address of a running Ray cluster, by default one that Ray finds or starts.
 
     Raises
     ------
     ExperimentError
-        If two tasks share a key, a worker is killed, or Ray cannot be used.
+        If two tasks share a key, or a worker is killed. Ray that cannot be used is a ConformodalError.
     """
     keys = [task.key for task in tasks]
     twice = sorted({k for k in keys if keys.count(k) > 1})
@@ -90,11 +90,11 @@ def run_tasks(
     report()
     n_jobs = min(workers or 1, max(len(missing), 1))
     threads = None if n_jobs == 1 else max(1, (os.cpu_count() or 1) // n_jobs)
-    yields, number = "generator_unordered", n_jobs
+    yields = "generator_unordered"
     if engine is Engine.RAY:  # the CPU that a worker asked for; joblib gets no generator from Ray
-        threads, yields, number = 1, "list", workers or -1
+        threads, yields = 1, "list"
     if missing:
-        with parallel_workers(number, engine, address):
+        with parallel_workers(workers if engine is Engine.RAY else n_jobs, engine, address):
             jobs = (delayed(_finish)(work, i, tasks[i], paths[i], threads) for i in missing)
             try:
                 for i, result in Parallel(return_as=yields, batch_size=1, pre_dispatch="all")(jobs):

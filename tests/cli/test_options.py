@@ -32,6 +32,7 @@ REFUSED = [
     ("train", "--out=file", "file"),
     ("train", "", "data"),
     ("train", "--split=blocks --test=other", "--test"),
+    ("train", "--address=host:6379", "--address needs --engine ray, got --engine local"),
     ("train", "--method=paper --score=hpd", "score"),
     ("train", "--method=paper --joint=max", "joint"),
     ("run", "", "model"),

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from conformodal.cli import table_predict
 from conformodal.cli.table import choose_columns, doubt_targets
 from conformodal.cli.table_csv import CsvFormat, TableError, read_table
 from conformodal.conformal import ConformalRegressor
@@ -294,6 +295,7 @@ def test_a_saved_model_predicts_new_rows_by_the_names_of_their_columns(tmp_path,
     pytest.importorskip("skops")
     parquet = pytest.importorskip("pyarrow.parquet")
     shorten_fits(monkeypatch)
+    monkeypatch.setattr(table_predict, "_ROWS", 4)  # at once
     table = rentals().drop(columns=["casual", "registered"])
     dated = table.assign(when=pd.to_datetime(table["when"], format="%d/%m/%Y %H:%M"))
     (table.to_csv if kind == "csv" else dated.to_parquet)(tmp_path / f"old.{kind}", index=False)

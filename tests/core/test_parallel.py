@@ -85,8 +85,3 @@ def test_ray_does_again_what_a_killed_worker_was_at(tmp_path):
         items, processes = zip(*in_workers(killed_once(mark := tmp_path / "killed"), range(6)), strict=True)
     assert (mark.exists(), *items) == (True, *range(6))
     assert os.getpid() not in processes
-
-
-def test_an_address_without_a_cluster_is_refused():
-    with pytest.raises(ConformodalError, match="an address needs the engine 'ray', got 'host:6379'"):
-        parallel_workers(2, address="host:6379").__enter__()

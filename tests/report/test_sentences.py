@@ -16,7 +16,7 @@ NONE = np.empty((0, 2))
     ("parts", "position", "truth", "kind", "facts"),
     [
         ([HERE] * 3, (0, 0, 0), (0.042, 0, 0), "one place",
-         ("1 place of 0.100 x 0.100 x 0.100 m", "0.042 m and 0.00 degrees from the true one, which the region contains")),
+         ("1 place of 0.100 x 0.100 x 0.100", "0.042 m and 0.00 degrees from the true one, which the region contains")),
         ([THERE, HERE, HERE], (0, 0, 0), (5, 0, 0), "several places", ("2 places", "5.000 m", "the region misses")),
         ([THERE, THERE, HERE], (5, 0, 0), None, "several places", ("4 places", "lies outside it")),
         ([THERE, LINE, HERE], (0, 0, 0), None, "several places", ("2 places", "x inf x")),

@@ -275,9 +275,9 @@ def print_errors(errors: dict[str, dict[str, float]], note: str, unit: str, *, d
 
 
 def describe_coverage(coverage: dict[str, Any]) -> str:
-    """How often bounded regions hold the whole pose, beside the share of regions that are unbounded in some target."""
+    """How often bounded regions contain the true pose, and the share of regions that are unbounded in some target."""
     if coverage["joint_coverage"] is None:
-        return "whether regions hold the whole pose is not known: the truth has no orientations"
+        return "whether regions contain the true pose is not known: the truth has no orientations"
     n, n_bounded = coverage["n_evaluated"], coverage["n_bounded"]
     open_ended = f"{n - n_bounded} of {counted(n, 'region')} unbounded in some target"
     if not n_bounded:

@@ -38,7 +38,7 @@ MaxGap = Annotated[float, typer.Option(min=0, help="Longest gap, seconds, betwee
 TimeOffset = Annotated[float, typer.Option(help="Seconds to add to the times of the poses.")]
 Focal = Annotated[float | None, typer.Option(help="Pixels, of images without a camera.", rich_help_panel=DATA_PANEL)]
 Camera = Annotated[Path | None, typer.Option(help="camera-intrinsics.txt (3x3), or its folder, of a video or device.")]
-Cache = Annotated[Path | None, typer.Option(help="Default: ~/.cache/conformodal.", rich_help_panel=OUTPUT_PANEL)]
+Cache = Annotated[Path | None, typer.Option(help="Cache folder (default: the user's).", rich_help_panel=OUTPUT_PANEL)]
 
 
 def cache_folder(cache: Path | None) -> Path:

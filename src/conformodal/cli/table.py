@@ -73,9 +73,11 @@ def fit(
     file: Annotated[Path, typer.Argument(help="CSV file with a line of column names, or a Parquet file.")],
     target: Annotated[list[str], _data(help="Column to predict; repeat it for several, covered together.")],
     group: Annotated[str | None, _data(help="Column of groups; coverage is guaranteed in each.")] = None,
-    exclude: Annotated[list[str] | None, _data(help="Column to leave out, such as what follows the target.")] = None,
+    exclude: Annotated[
+        list[str] | None, _data(help="Column to leave out, such as one known later; repeatable.")
+    ] = None,
     unit: Annotated[str | None, _data(help="Column that names what rows belong to, such as a subject.")] = None,
-    split: Annotated[Split, _data(help="Rows that test and calibrate: at random, or the last.")] = Split.RANDOM,
+    split: Annotated[Split, _data(help="Rows that test and calibrate: at random, or the last in time.")] = Split.RANDOM,
     sep: Annotated[str | None, _reading(help="Separator; recognised by default.")] = None,
     decimal: Annotated[str | None, _reading(help="Mark before decimals; recognised by default.")] = None,
     thousands: Annotated[str | None, _reading(help="Mark between thousands; none by default.")] = None,
@@ -85,7 +87,9 @@ def fit(
     y_max: Annotated[float, _data("--max", help="Value that no target exceeds.")] = np.inf,
     seed: Annotated[int, _data(min=0, help="Seed of the split and of the learner.")] = 0,
     plot: Annotated[Path | None, _output(help="Picture (.svg, .png, .pdf); needs the extra 'figures'.")] = None,
-    model: Annotated[Path | None, _output(help="Regressor for 'table predict'; needs the extra 'save'.")] = None,
+    model: Annotated[
+        Path | None, _output(help="File of the regressor, for 'table predict'; needs the extra 'save'.")
+    ] = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:

@@ -62,7 +62,7 @@ def train(
     calibrate_on: Annotated[
         Calibration, _calibration("--calibration", help="auto: frames for --split interleaved, else unseen stretches.")
     ] = ModelConfig.calibrate_on,
-    workers: Annotated[int, _model(min=1, help="Folds trained at a time; results do not depend on it.")] = 1,
+    workers: Annotated[int | None, _model(min=1, help="Processes that map folds: 1, or with ray all cores.")] = None,
     engine: Annotated[Engine, _model(help="Where workers are: here, or on a Ray cluster.")] = Engine.LOCAL,
     address: Annotated[str | None, _model(help="Of the Ray cluster; by default one that Ray finds or starts.")] = None,
     quiet: Quiet = False,
@@ -77,6 +77,8 @@ def train(
         if was_given(context, "split") and split is not SplitKind.GIVEN:
             raise OptionError(f"--test {test} is a data set, which needs --split given, got --split {split}") from None
         split = SplitKind.GIVEN
+    if address is not None and engine is not Engine.RAY:
+        raise OptionError(f"--address needs --engine ray, got --engine {engine}")
     names = {field.name for field in fields(ModelConfig)}
     settings: dict[str, Any] = {name: value for name, value in context.params.items() if name in names - {"method"}}
     settings |= {"split": split, "test": share, "sources": tuple(name.strip() for name in sources.split(","))}
@@ -96,10 +98,11 @@ def train(
         from conformodal.features.networks import default_block  # noqa: PLC0415
 
     default_block(network)  # refuses a model of transformers that is not here, before images are read
-    with lock_output(out, "train", apart=[*data, *([] if held_out is None else [held_out])]):
+    apart = [*data, *([] if held_out is None else [held_out])]
+    with lock_output(out, "train", apart=apart), parallel_workers(workers, engine, address):
         feature_cache = FeatureCache(cache_folder(cache))
         sequence = open_sequences(data, layout, test=held_out, trust_poses=trust_poses, focal=focal)
-        with progress_bars(out) as report, parallel_workers(workers, engine, address):
+        with progress_bars(out) as report:
             train_on(sequence, config, out, features=feature_cache, report=report)
     print_where(out)
 

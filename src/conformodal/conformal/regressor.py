@@ -323,7 +323,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def predict_table(self, table: Any, alpha: Alpha | None = None) -> Any:
         """Regions of the rows of a table of pandas, polars or Arrow, as a table of the same kind; extra ``arrow``.
 
-        A pure function of the rows, for ``map_batches`` of Ray and Polars and ``map_partitions`` of Dask. Columns are
+        A pure function of the rows, for ``map_batches`` of Ray and ``map_partitions`` of Dask. Columns are
         taken by name: their order does not matter, and those that were not learnt from are passed over. For each target
         Y the result has the columns ``Y`` (the mean, as :meth:`predict`), ``Y_low`` and ``Y_high`` (the ends of the
         set, null if it is empty), and ``Y_intervals``: a list of intervals with ``low``, ``high`` and ``probability``.

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import ContextVar, copy_context
 from enum import StrEnum
 from functools import cache
-from threading import Event
 from typing import TypeVar
 
 from joblib import Parallel, cpu_count, delayed, parallel_config
@@ -24,10 +25,10 @@ from .progress import Progress
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_AGAIN = {"max_restarts": 3, "max_task_retries": 3}  # what a cluster's lost worker was at, so often
+_RETRIES = {"max_restarts": 3, "max_task_retries": 3}  # what a cluster's lost worker was at, so often
 
 # set when a call of in_threads that the thread works for has failed, for those around the innermost one too
-_failed: ContextVar[tuple[Event, ...]] = ContextVar("failed", default=())
+_failed: ContextVar[tuple[threading.Event, ...]] = ContextVar("failed", default=())
 
 
 def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: Progress | None = None) -> list[Result]:
@@ -36,7 +37,7 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: 
     Matrix products take one thread each, see :func:`one_blas_thread`. The first error, or an interrupt of the main
     thread, ends what the other threads do, see :func:`raise_if_cancelled`.
     """
-    failed, context = Event(), copy_context()
+    failed, context = threading.Event(), copy_context()
     context.run(_failed.set, (*_failed.get(), failed))
 
     def checked(item: Item) -> Result:
@@ -85,15 +86,13 @@ class Engine(StrEnum):
 
 
 @contextmanager
-def parallel_workers(number: int, engine: Engine = Engine.LOCAL, address: str | None = None) -> Iterator[None]:
-    """So many workers for joblib, -1 for all; of the cluster at an address, by default of one that Ray finds or starts.
+def parallel_workers(number: int | None, engine: Engine = Engine.LOCAL, address: str | None = None) -> Iterator[None]:
+    """So many workers for joblib; None is one on this machine, and one for each core of a Ray cluster, the most.
 
-    What a cluster's lost worker was at is done again.
+    The cluster is the one at an address, or the one that Ray finds or starts. What a lost worker was at is done again.
     """
     if engine is Engine.LOCAL:
-        if address is not None:
-            raise ConformodalError(f"an address needs the engine 'ray', got {address!r}")
-        with parallel_config(n_jobs=number):
+        with parallel_config("loky", n_jobs=number or 1):
             yield
         return
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is told to anyone
@@ -102,13 +101,18 @@ def parallel_workers(number: int, engine: Engine = Engine.LOCAL, address: str | 
     with require_extra("ray", "the engine 'ray'"):
         import ray  # noqa: PLC0415 - an extra
         from ray.util.joblib import register_ray  # noqa: PLC0415
+    stop = signal.getsignal(signal.SIGTERM)
     try:
-        with ray.init(address, include_dashboard=False, log_to_driver=False, logging_level="error"):
-            register_ray()
-            with parallel_config(backend="ray", n_jobs=number, max_nbytes=None, ray_remote_args=_AGAIN):
-                yield
-    except ConnectionError as exc:
+        cluster = ray.init(address, include_dashboard=False, log_to_driver=False, logging_level="error")
+    except (ConnectionError, RuntimeError, ValueError) as exc:
         raise ConformodalError(f"no Ray cluster at {address!r}: {exc}") from exc
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, stop)  # which Ray has taken for itself
+    register_ray()
+    cores = int(ray.cluster_resources()["CPU"])
+    n_jobs = min(number or cores, cores)
+    with cluster, parallel_config("ray", n_jobs=n_jobs, max_nbytes=None, ray_remote_args=_RETRIES):
+        yield
 
 
 def _alone(work: Callable[[Item], Result], item: Item) -> Result:

@@ -177,7 +177,7 @@ class MapPoses:
 
 
 def agreeing(rays: Rays, points: Points, tolerance: float) -> Sightings:
-    """The rays that agree with the points of their corners."""
+    """The rays within a tolerance (at depth 1) of their corners' points, where three or more frames agree on these."""
     R = rays.R_world_cam[rays.camera]
     local = np.einsum("mba,mb->ma", R, np.nan_to_num(points.xyz[rays.corner]) - rays.centres[rays.camera])
     ahead = local[:, 2] > 0

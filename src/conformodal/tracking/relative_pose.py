@@ -1,7 +1,7 @@
 """Rotation and unit direction between two frames from corner pairs (the paper, section 3), or why there are none.
 
-Five-point solvers are PoseLib's, refined, by default, and OpenCV's, as in the paper. Standard deviations follow from
-the residuals and the parallax of the inliers. Errors of neighbouring corners are correlated: they share texture, blur,
+The five-point solver is PoseLib's, refined; the paper's system has OpenCV's. Standard deviations follow from the
+residuals and the parallax of the inliers. Errors of neighbouring corners are correlated: they share texture, blur,
 shutter and depth. So all corners of an image cell share one error, which least squares passes on to the motion (the
 sandwich covariance of clustered data, Liang and Zeger 1986), times a factor measured in
 ``benchmarks/relative_motion.py``.
@@ -9,8 +9,7 @@ sandwich covariance of clustered data, Liang and Zeger 1986), times a factor mea
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -55,9 +54,6 @@ class TwoView(NamedTuple):
     inliers: BoolArray  # (n,)
 
 
-TwoViewSolver: TypeAlias = Callable[[FloatArray, FloatArray, PinholeCamera], TwoView | None]
-
-
 def solve_poselib(pixels_prev: FloatArray, pixels_next: FloatArray, camera: PinholeCamera) -> TwoView | None:
     """LO-RANSAC over five points, then a robust fit to all inliers, of undistorted pixels (n, 2)."""
     model = camera.poselib()
@@ -94,11 +90,7 @@ def invert_pose(R_next_prev: AnyArray, t: AnyArray) -> CameraMotion | None:
 
 
 def estimate_relative_motion(
-    pixels_prev: FloatArray,
-    pixels_next: FloatArray,
-    camera: PinholeCamera,
-    n_at_start: int | None = None,
-    solver: TwoViewSolver = solve_poselib,
+    pixels_prev: FloatArray, pixels_next: FloatArray, camera: PinholeCamera, n_at_start: int | None = None
 ) -> RelativeMotion:
     """Motion of the camera between two frames; a rotation where it is sound, a direction only with enough parallax.
 
@@ -116,7 +108,7 @@ def estimate_relative_motion(
         return RelativeMotion(MotionStatus.REPEATED, np.eye(3), None, n, n, _REPEATED_FLOW_PX * pixel)
     pairs = _Pairs(pixels_prev, pixels_next, camera.bearings(pixels_prev), camera.bearings(pixels_next))
     cells = image_cells(pixels_prev, camera)
-    return _pure_rotation(pairs, cells, pixel) or _two_view_motion(pairs, cells, pixel, camera, solver)
+    return _pure_rotation(pairs, cells, pixel) or _two_view_motion(pairs, cells, pixel, camera)
 
 
 class _Pairs(NamedTuple):
@@ -145,10 +137,8 @@ def _pure_rotation(pairs: _Pairs, cells: IntArray, pixel: float) -> RelativeMoti
     return RelativeMotion(MotionStatus.LOW_PARALLAX, rotation, None, len(inliers), int(inliers.sum()), sigma)
 
 
-def _two_view_motion(
-    pairs: _Pairs, cells: IntArray, pixel: float, camera: PinholeCamera, solver: TwoViewSolver
-) -> RelativeMotion:
-    n, view = len(cells), solver(pairs.pixels_prev, pairs.pixels_next, camera)
+def _two_view_motion(pairs: _Pairs, cells: IntArray, pixel: float, camera: PinholeCamera) -> RelativeMotion:
+    n, view = len(cells), solve_poselib(pairs.pixels_prev, pairs.pixels_next, camera)
     n_inliers = 0 if view is None else int(view.inliers.sum())
     if view is None or n_inliers < max(MIN_TRACKS, _MIN_INLIER_SHARE * n):
         return RelativeMotion(MotionStatus.INCONSISTENT, n_tracks=n, n_inliers=n_inliers)

@@ -14,7 +14,7 @@ from conformodal.geometry import MotionStatus, PinholeCamera, RelativeMotion
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.io.decoding import grey_image
 
-from .relative_pose import MIN_TRACKS, TwoViewSolver, estimate_relative_motion, solve_opencv, solve_poselib
+from .relative_pose import MIN_TRACKS, estimate_relative_motion, solve_opencv
 
 _MAX_CORNERS = 500  # tracked at a time
 # New corners are detected below this share of those after the last detection, as the image may have given no more, and
@@ -194,9 +194,8 @@ class MotionFrontEnd(FrontEnd):
     lengths of the parts, is left out.
     """
 
-    def __init__(self, camera: PinholeCamera, solver: TwoViewSolver = solve_poselib) -> None:
+    def __init__(self, camera: PinholeCamera) -> None:
         super().__init__(camera)
-        self.solver = solver
         self._parts: list[RelativeMotion] = []  # from the frame measured last to the mark
 
     def reset(self) -> None:
@@ -224,7 +223,7 @@ class MotionFrontEnd(FrontEnd):
         return _chain(parts, self._since_mark(before, now))
 
     def _since_mark(self, before: FloatArray, now: FloatArray) -> RelativeMotion:
-        return estimate_relative_motion(before, now, self.camera, self.tracker.n_at_mark, self.solver)
+        return estimate_relative_motion(before, now, self.camera, self.tracker.n_at_mark)
 
 
 def _chain(parts: list[RelativeMotion], last: RelativeMotion) -> RelativeMotion:
