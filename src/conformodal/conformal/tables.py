@@ -64,7 +64,7 @@ def region_table(reg: ConformalRegressor, table: Any, alpha: Alpha | None) -> An
         frame = as_inputs(reg, table)
     inputs, parts = frame[reg.columns_], []
     unlike = reg.compare_rows(inputs)
-    with threadpool_limits(1, "openmp"):  # on blocks of this size, threads of trees wait more than they work
+    with threadpool_limits(1):  # on blocks of this size, threads wait more than they work
         for rows in [*blocks(len(frame))] or [slice(0, 0)]:
             proba = reg.proba_of(inputs.iloc[rows])
             labels = None if reg.group_column_ is None else frame[reg.group_column_].iloc[rows]
