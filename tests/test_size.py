@@ -6,7 +6,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 # Lines of Python. A budget only ever falls; the goals are 21,000 of source and 14,000 of tests.
-LINES = {"src": 23_120, "tests": 14_180, "benchmarks": 2_900, "experiments": 2_700, "scripts": 180}
+LINES = {"src": 23_120, "tests": 14_180, "benchmarks": 2_880, "experiments": 2_680, "scripts": 180}
 SOURCE_FILES = 160
 
 
