@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from sklearn.ensemble import RandomForestClassifier
 from typer.main import get_command
@@ -70,13 +71,12 @@ def poses():
     return {"times_s": times_s, "positions_xyz": np.zeros((5, 3)), "orientations_quat_wxyz": quats}
 
 
-GIVEN = {"nothing": dict, "table": table, "probabilities": probabilities, "poses": poses, "camera": dict}
+GIVEN = {"nothing": dict, "table": table, "probabilities": probabilities, "poses": poses}
 
 
-def snippets(*, camera):
+def snippets(taken):
     blocks = [(page.stem, block) for page in HOW_TO for block in BLOCK.findall(page.read_text(encoding="utf-8"))]
-    numbered = [pytest.param(*block, id=f"{page}-{k}") for k, (page, block) in enumerate(blocks)]
-    return [block for block in numbered if (block.values[0] == "camera") is camera]
+    return [pytest.param(*block, id=f"{page}-{k}") for k, (page, block) in enumerate(blocks) if taken(block[0])]
 
 
 def check(code, names, expected, *, numbers=True):
@@ -91,7 +91,7 @@ def check(code, names, expected, *, numbers=True):
         assert not numbers or float(a) == pytest.approx(float(b), rel=0.2, abs=3 if "." not in b else 0.03)
 
 
-@pytest.mark.parametrize(("given", "code", "expected"), snippets(camera=False))
+@pytest.mark.parametrize(("given", "code", "expected"), snippets(lambda given: given not in ("camera", "cluster")))
 def test_a_snippet_runs_and_prints_what_the_page_says(given, code, expected, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert given in GIVEN, "say what the block takes as given"
@@ -124,10 +124,26 @@ def in_world(small_world, tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("given", "code", "expected"), snippets(camera=True))
+@pytest.mark.parametrize(("given", "code", "expected"), snippets(lambda given: given == "camera"))
 def test_a_snippet_runs_on_a_small_world(given, code, expected, in_world, monkeypatch):
     monkeypatch.chdir(in_world)
     check(code, {}, expected, numbers=False)
+
+
+@pytest.mark.slow
+def test_ray_and_dask_write_the_regions_that_one_process_has(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    pytest.importorskip("ray")
+    pytest.importorskip("dask")
+    names = table()
+    for _, code, expected in BLOCK.findall((DOCS / "howto" / "table-files.md").read_text("utf-8")):
+        check(code, names, expected)
+    regions = names["regions"]
+    for written in (pd.read_parquet("by-ray").sort_values("id"), pd.read_parquet("by-dask")):
+        np.testing.assert_array_equal(written["elbow_high"], regions["elbow_high"])
+        assert written["elbow_intervals"].map(len).tolist() == regions["elbow_intervals"].map(len).tolist()
+    names["ray"].shutdown()
 
 
 # ---- commands

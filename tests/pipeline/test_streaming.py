@@ -1,6 +1,7 @@
 """A stream through an estimator: frame by frame, in windows, and as a recording."""
 
 import pickle
+from contextlib import contextmanager
 from itertools import islice
 
 import cv2
@@ -38,15 +39,20 @@ def answered(world):
     return frames, VisualOdometry(model).process(sequence, frames)
 
 
-def stream(world, frames, folder, limit=None, **options):
-    sequence, model = world
+@contextmanager
+def running(world, folder, **options):
     with ResultsWriter(folder) as writer:
-        runner = StreamRunner(VisualOdometry(model), writer, truth=sequence.truth, **options)
-        for frame in islice(RecordingStream(sequence, frames), limit):
-            runner.push(frame)
+        runner = StreamRunner(VisualOdometry(world[1]), writer, **options)
+        yield runner
         runner.finish()
         if runner.truth is not None:
             writer.truth(runner.truth)
+
+
+def stream(world, frames, folder, limit=None, **options):
+    with running(world, folder, truth=world[0].truth, **options) as runner:
+        for frame in islice(RecordingStream(world[0], frames), limit):
+            runner.push(frame)
     return runner
 
 
@@ -153,39 +159,31 @@ def test_windows_lose_no_frame_and_little_else(world, answered, tmp_path):
 
 
 def test_what_waits_does_not_grow(world, tmp_path):
-    sequence, model = world
-    with ResultsWriter(tmp_path) as writer:
-        runner = StreamRunner(VisualOdometry(model), writer, window=12, overlap=4)
-        for i, frame in enumerate(RecordingStream(sequence, np.arange(30))):
+    with running(world, tmp_path, window=12, overlap=4) as runner:
+        for i, frame in enumerate(RecordingStream(world[0], np.arange(30))):
             runner.push(frame)
             assert len(runner._pending) < 12
             # regions are on disk at once, whatever happens next
             assert len((tmp_path / "regions.jsonl.part").read_text().splitlines()) == i + 1
-        runner.finish()
     assert len(read_trajectories(tmp_path)["smoothed"]) == 30
 
 
 def test_frames_without_an_image_are_counted_and_the_stream_goes_on(world, tmp_path):
-    sequence, model = world
-    with ResultsWriter(tmp_path) as writer:
-        runner = StreamRunner(VisualOdometry(model), writer)
-        for i, frame in enumerate(RecordingStream(sequence, np.arange(12))):
+    with running(world, tmp_path) as runner:
+        for i, frame in enumerate(RecordingStream(world[0], np.arange(12))):
             bad = Frame(frame.name, frame.timestamp_s, None, "torn") if i in (0, 5) else frame
             estimate = runner.push(bad)
             assert (estimate.region is None) == (i in (0, 5))
         small = runner.push(Frame("small", 1e6, np.zeros((3, 3, 3), np.uint8)))
         assert "expected uint8" in small.problem
-        runner.finish()
     assert (runner.n_answered, runner.n_problems) == (10, 3)
     assert list(runner.problems.values())[:2] == ["torn", "torn"]
     assert len(read_trajectories(tmp_path)["smoothed"]) == 10
 
 
 def test_a_time_twice_costs_that_frame_and_a_clock_set_back_ends_the_run_with_all_before_kept(world, tmp_path):
-    sequence, model = world
-    frames = list(RecordingStream(sequence, np.arange(8)))
-    with ResultsWriter(tmp_path) as writer:
-        runner = StreamRunner(VisualOdometry(model), writer)
+    frames = list(RecordingStream(world[0], np.arange(8)))
+    with running(world, tmp_path) as runner:
         for frame in frames:
             runner.push(frame)
             assert runner.push(frame) is None
@@ -194,19 +192,15 @@ def test_a_time_twice_costs_that_frame_and_a_clock_set_back_ends_the_run_with_al
             assert runner.push(frames[3]) is None
         with pytest.raises(SourceError, match=r"frame-000003.* follows frame-000007"):
             runner.push(frames[3])
-        runner.finish()
     for trajectory in read_trajectories(tmp_path).values():
         assert len(trajectory) == 8
 
 
 def test_recordings_are_answered_apart(world, tmp_path):
-    sequence, model = world
-    frames = list(RecordingStream(sequence, np.arange(20)))
-    with ResultsWriter(tmp_path) as writer:
-        runner = StreamRunner(VisualOdometry(model), writer)
+    frames = list(RecordingStream(world[0], np.arange(20)))
+    with running(world, tmp_path) as runner:
         for i, frame in enumerate(frames):
             runner.push(Frame(frame.name, frame.timestamp_s, frame.image, recording=int(i >= 10)))
-        runner.finish()
     records = read_region_records(tmp_path / "regions.jsonl")
     assert [i for i, r in enumerate(records) if r["motion"] == "first"] == [0, 10]
     times = read_trajectories(tmp_path)["smoothed"].timestamps_s
