@@ -31,7 +31,7 @@ def refusal(*arguments):
     result = invoke(*arguments)
     assert result.exit_code == 2, result.output
     assert "Traceback" not in result.output
-    return " ".join(result.output.split())
+    return " ".join(result.stderr.split())
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -69,7 +69,7 @@ def test_run_writes_everything(results):
     assert metrics["provenance"]["packages"]["torch"] == version("torch")
     assert metrics["split"] == "interleaved"
     assert metrics["n_answered"] == len(read_tum(results / "trajectory.tum"))
-    assert list(metrics["errors"]) == ["online", "hindsight", "smoothed"]
+    assert list(metrics["errors"]) == ["online", "smoothed", "hindsight"]
     assert {path.stem for path in (results / "methods").iterdir()} == {"hindsight", "online"}
     assert "exchangeable" in metrics["coverage"]["assumption"]
     records = read_region_records(results / "regions.jsonl")

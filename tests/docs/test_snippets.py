@@ -131,19 +131,23 @@ def test_a_snippet_runs_on_a_small_world(given, code, expected, in_world, monkey
 
 
 @pytest.mark.slow
-def test_ray_and_dask_write_the_regions_that_one_process_has(tmp_path, monkeypatch):
+def test_ray_and_dask_write_the_regions_that_one_process_has(tmp_path, monkeypatch, request):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    pytest.importorskip("ray")
     pytest.importorskip("dask")
+    ray = pytest.importorskip("ray")
+    ray.init(address="local")
+    request.addfinalizer(ray.shutdown)
     names = table()
+    assert [block.id.rpartition("-")[0] for block in snippets(lambda given: given == "cluster")] == ["table-files"]
     for _, code, expected in BLOCK.findall((DOCS / "howto" / "table-files.md").read_text("utf-8")):
         check(code, names, expected)
-    regions = names["regions"]
-    for written in (pd.read_parquet("by-ray").sort_values("id"), pd.read_parquet("by-dask")):
-        np.testing.assert_array_equal(written["elbow_high"], regions["elbow_high"])
-        assert written["elbow_intervals"].map(len).tolist() == regions["elbow_intervals"].map(len).tolist()
-    names["ray"].shutdown()
+    regions, by_ray = names["regions"], pd.read_parquet("by-ray").sort_values("id")
+    assert by_ray["id"].tolist() == names["table"]["id"].tolist()
+    for written in (by_ray, pd.read_parquet("by-dask")):
+        numbers = ["elbow", "elbow_low", "elbow_high"]
+        np.testing.assert_array_equal(written[numbers], regions[numbers])
+        assert written["elbow_intervals"].map(list).tolist() == regions["elbow_intervals"].map(list).tolist()
 
 
 # ---- commands

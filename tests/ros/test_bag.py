@@ -100,7 +100,7 @@ def test_poses_are_the_online_trajectory_and_the_last_path_has_them_revised(reco
     turned = angles([pose.orientation for pose in said], expected.orientations_quat_wxyz[kept])
     assert turned.max() < 1e-4
     revised, unrevised = (np.abs(each - hindsight.positions_xyz[kept]).mean() for each in (places, at_once))
-    assert revised < 0.3 * unrevised  # the last frames are answered before what follows them
+    assert revised < 0.3 * unrevised  # not equal: the last poses are written before what follows revises them
 
 
 def test_images_are_those_of_the_source(recorded, small_world):
