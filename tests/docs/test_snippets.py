@@ -144,8 +144,8 @@ def test_ray_and_dask_write_the_regions_that_one_process_has(tmp_path, monkeypat
         check(code, names, expected)
     regions, by_ray = names["regions"], pd.read_parquet("by-ray").sort_values("id")
     assert by_ray["id"].tolist() == names["table"]["id"].tolist()
+    numbers = ["elbow", "elbow_low", "elbow_high"]
     for written in (by_ray, pd.read_parquet("by-dask")):
-        numbers = ["elbow", "elbow_low", "elbow_high"]
         np.testing.assert_array_equal(written[numbers], regions[numbers])
         assert written["elbow_intervals"].map(list).tolist() == regions["elbow_intervals"].map(list).tolist()
 
