@@ -24,6 +24,7 @@ from conformodal.pipeline.train import train_model
 class NearestFrame:
     name: ClassVar[str] = "nearest"
     local: ClassVar[bool] = False
+    least_sigma_m: ClassVar[float] = 0.1
     features: np.ndarray
     targets: np.ndarray
     frames: np.ndarray

@@ -106,7 +106,8 @@ def _neighbours(rng, features, targets):
     projection = Projection(features.mean(axis=0), components)
     references, scale = projection.apply(features[_FRAMES]), np.ones(7)
     regression = LocalRegression(projection, references, targets[_FRAMES], scale, LocalSettings(3, 4, 0.03, 0.5))
-    return NeighbourSource(regression, _FRAMES, 1.0, 2.0, ErrorModel(0.1, 1.0, 0.0, 0.1, 1.0, 0.0, 1.0, (0.5,)))
+    errors = ErrorModel(0.1, 1.0, 0.0, 0.1, 1.0, 0.0, 1.0, (0.5,))
+    return NeighbourSource(regression, _FRAMES, 1.0, 2.0, errors, 0.05)
 
 
 def _landmarks(features, detector):

@@ -35,6 +35,27 @@ def test_corners_of_a_shifted_image_are_shifted(detector):
     np.testing.assert_allclose(np.median(off, axis=0), 0, atol=0.2)
 
 
+@pytest.mark.parametrize("degrees", [-90, 60])
+def test_a_rolled_image_that_is_turned_back_has_the_corners_of_the_upright_one(detector, degrees):
+    image = load_sample_image("china.jpg")[:400, :600]
+    roll = cv2.getRotationMatrix2D((299.5, 199.5), -degrees, 1.0)
+    rolled = np.asarray(cv2.warpAffine(image, roll, (600, 400)))
+    upright = extract_local_features(image, camera(600, 400), detector)
+
+    def matched(turn_rad):
+        """Matches of the upright image whose corners are where the roll has moved them."""
+        here = extract_local_features(rolled, camera(600, 400), detector, turn_rad)
+        (pairs,) = match(here.descriptors, [upright.descriptors])
+        moved = upright.pixels[pairs[:, 1]] @ roll[:, :2].T + roll[:, 2]
+        return np.linalg.norm(here.pixels[pairs[:, 0]] - moved, axis=1) < 4
+
+    back = matched(np.radians(-degrees))
+    assert back.sum() > 50
+    assert back.mean() > 0.8
+    # ORB turns its patches itself
+    assert detector.rotation_invariant == (matched(0.0).sum() > 0.5 * back.sum())
+
+
 def test_small_images_are_enlarged_and_corners_stay_where_they_are():
     large = texture(320, 240)
     small = np.asarray(cv2.resize(large, (160, 120), interpolation=cv2.INTER_AREA))

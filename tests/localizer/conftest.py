@@ -59,6 +59,7 @@ class Told:
 
     name: ClassVar[str] = "told"
     local: ClassVar[bool] = False
+    least_sigma_m: ClassVar[float] = np.inf
 
     frames: np.ndarray
     answers: SourceAnswer = field(default_factory=SourceAnswer)

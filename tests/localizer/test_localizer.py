@@ -1,5 +1,7 @@
 """Sources of one belief, on stand-ins that say what they are told."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ SIGN = np.array([1.0, 0, 0, 0])
 
 Other = type("Other", (Told,), {"name": "other"})
 Local = type("Local", (Told,), {"name": "local", "local": True})
+Precise = type("Precise", (Told,), {"name": "precise", "least_sigma_m": 0.2})
 # what the frames do not allow
 Unable = type("Unable", (Told,), {"name": "unable", "fit": classmethod(lambda cls, data, frames: None)})
 
@@ -101,3 +104,14 @@ def test_only_sources_that_look_at_local_features_recognise_places_and_others_ar
     assert found.mixtures[1].candidates.positions_xyz[found.mixtures[1].measured, 0].tolist() == [4.0, 5.0]
     for p, q in zip(found.proba, everywhere.answers.proba, strict=True):
         np.testing.assert_array_equal(p, np.concatenate((q, np.full_like(q, 1 / q.size))))
+
+
+@pytest.mark.parametrize(("sigma_m", "asked"), [(0.06, False), (0.1, True)])
+def test_another_source_is_asked_beside_a_recognised_place_if_it_can_be_a_third_as_precise(bins, sigma_m, asked):
+    recognised = replace(estimate(4.0, 0.95), sigma_m=sigma_m)
+    other = replace(estimate(4.1, 0.8), sigma_m=0.2)
+    sources = told(Precise, measurements=[[other]]), told(Local, measurements=[[recognised]])
+    [found] = Localizer(sources, bins, SIGN).beliefs(images(1)).mixtures
+    product = 1 / (1 / sigma_m**2 + 1 / 0.2**2)
+    expected = np.sqrt(product) if asked else sigma_m
+    assert found.candidates.position_spreads[0] == pytest.approx(expected)

@@ -6,8 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Submap, Trajectory, angle_between_quats
 from conformodal.localizer import LocalizationError
-from conformodal.localizer.observations import fit_motion_prior
-from conformodal.localizer.smoother import smooth_orientations, smooth_positions
+from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.observations import Observations, PosePath, fit_motion_prior
+from conformodal.localizer.smoother import image_hypotheses, smooth_orientations, smooth_positions
 from tests.localizer.flights import PRIOR, exact_motions, path
 
 
@@ -97,3 +98,18 @@ def test_submaps_carry_a_path_through_answers_that_err_for_long():
     together = smooth_positions(noisy, spreads, quats, t, DEEP, exact_submaps(positions, rotations))
     assert rms(alone - positions) > 0.15
     assert rms(together - positions) < 0.35 * rms(alone - positions)
+
+
+def test_a_smoother_starts_from_the_core_of_the_errors_of_known_images_and_is_wide_elsewhere():
+    t, positions, rotations = path(2)
+    quats, spreads = rotations.as_quat(scalar_first=True), np.full((2, 3), 0.03)
+    frames = [
+        Candidates(positions[i : i + 1], spreads[:1], quats[i : i + 1], np.array([0.02]), np.zeros(1)) for i in (0, 1)
+    ]
+    start = PosePath(t, positions + 0.01, 2 * spreads, quats, np.full(2, 0.04))
+    found = image_hypotheses(start, Observations(frames, [None] * 2, t, known=np.array([True, False])), DEEP)
+    np.testing.assert_array_equal(found.positions_xyz, positions)
+    np.testing.assert_allclose(found.position_spreads[0], 0.6 * 0.03)
+    np.testing.assert_allclose(found.orientation_spreads_rad[0], 0.6 * 0.02)
+    np.testing.assert_allclose(found.position_spreads[1], 0.2 * DEEP.depth_m)
+    np.testing.assert_allclose(found.orientation_spreads_rad[1], 0.5)

@@ -81,7 +81,7 @@ def test_smaller_errors_that_claim_half_the_spread_are_reported(claimed, too_sur
     order, parts = np.arange(280), np.arange(280) // 56
     folds = Folds([Fold(order[parts != k], order[parts == k]) for k in range(5)], order, np.arange(400) // 7, order)
     localizers = [Claims(1.0, 1.0)] * 5
-    rules = calibrate_regions(data, folds, localizers, None, ModelConfig(score="hpd")).rules
+    rules = calibrate_regions(data, folds, localizers, None, ModelConfig(score="hpd"), {}).rules
     found = compare_sources(data, localizers, Claims(0.8, claimed), None, rules, np.arange(280, 400))
     assert found.n_frames == 120
     by_model, by_folds = found.covered

@@ -30,6 +30,7 @@ _XFEAT_CORNERS, _XFEAT_CHANNELS = 800, 64
 _CELL = 8  # pixels across of XFeat's cells
 _LEAST_HEAT = 0.05  # of a corner
 _SUPPRESSED_PX = 5  # across; the hottest pixel of a window is its only corner
+_TURNED_MARGIN_PX = 8  # corners of a turned image nearer to its former border are those of the border
 _UNIT = 254.0  # length of directions as bytes: their components rarely exceed a half
 # Matches of bits: ratio of the distances to the nearest and the second nearest (Lowe 2004); of directions: cosine
 _RATIO, _LEAST_COSINE = 0.85, 0.75
@@ -78,6 +79,7 @@ class Detector(ABC):
 
     name: ClassVar[str]  # in saved models and on the command line
     describes_images: ClassVar[bool] = False  # whether it gives a global descriptor
+    rotation_invariant: ClassVar[bool] = False  # whether descriptors stay the same where the camera rolls
     nothing: ClassVar[Corners]  # of an image without corners; its descriptors tell type and length of all
 
     def __init__(self, content: bytes = b"") -> None:
@@ -92,6 +94,7 @@ class OrbDetector(Detector):
     """ORB (Rublee et al. 2011), in small images enlarged; it has no network."""
 
     name = "orb"
+    rotation_invariant = True
     nothing = Corners(np.empty((0, 2)), np.empty((0, _ORB_BYTES), np.uint8))
 
     def __call__(self, grey: UInt8Array) -> Corners:
@@ -198,12 +201,30 @@ DETECTORS: dict[str, type[Detector]] = {"orb": OrbDetector, "xfeat": XFeatDetect
 ORB = OrbDetector()
 
 
-def extract_local_features(image: UInt8Array, camera: PinholeCamera, detector: Detector = ORB) -> LocalFeatures:
-    """Local features and global descriptor of an image (height, width[, 3])."""
+def extract_local_features(
+    image: UInt8Array, camera: PinholeCamera, detector: Detector = ORB, turn_rad: float = 0.0
+) -> LocalFeatures:
+    """Local features and global descriptor of an image (height, width[, 3]).
+
+    The detector sees the image turned about its middle by `turn_rad`, from right to down. Corners are those of the
+    image as given.
+    """
     grey = grey_image(image)
-    pixels, descriptors, described = detector(grey)
+    pixels, descriptors, described = detector(grey) if turn_rad == 0 else _detect_turned(detector, grey, turn_rad)
     described = thumbnail(grey) if described is None else described
     return LocalFeatures(camera.undistort(pixels), descriptors, described, image_quality(grey))
+
+
+def _detect_turned(detector: Detector, grey: UInt8Array, turn_rad: float) -> Corners:
+    """The corners of a turned image, where they are in the image as given; none at its former border."""
+    height, width = grey.shape
+    turn = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), -np.degrees(turn_rad), 1.0)
+    turned = cv2.warpAffine(grey, turn, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    pixels, descriptors, described = detector(np.asarray(turned, np.uint8))
+    pixels = (pixels - turn[:, 2]) @ turn[:, :2]
+    low, high = _TURNED_MARGIN_PX, np.array((width, height)) - 1 - _TURNED_MARGIN_PX
+    inside = np.flatnonzero(((pixels >= low) & (pixels <= high)).all(axis=1))
+    return Corners(pixels[inside], descriptors[inside], described)
 
 
 def match(descriptors: Descriptors, others: Sequence[Descriptors]) -> list[IntArray]:

@@ -25,7 +25,7 @@ from .candidates import Candidates, Mixture, fuse, mode_candidates
 from .evidence import FrameEvidence, PoseMeasurement
 from .observations import Posterior
 from .regions import Support
-from .sources.registry import PoseSource, SourceData, find_source
+from .sources.registry import PoseSource, SourceData, TurnsImages, find_source
 
 _IMAGES_AT_A_TIME = 128  # seven times some thousand cells each
 _CELLS = 800  # per target, at least: estimates are more precise than bins
@@ -36,6 +36,9 @@ _WIDEST, _AT_EACH_END, _BETWEEN = 1 / 400, 128, 16
 # frame was. They reach 2.4 times as far as the 800 cells
 BEYOND, _WIDER = 300, 1.01
 RECOGNISED = 0.9  # inlier probability from which an estimate by local features is a recognised place
+# A source is asked beside a recognised place if the standard deviation of its best estimates is at most so many times
+# that of the place: the product then has a variance smaller by a tenth or more
+_USEFUL = 3.0
 _NEGLIGIBLE = 1e-3  # hypotheses of less probability are left out of the marginals
 _LEAST_ANGLE = 1e-4
 # least share of the image's own belief in a region from a posterior. Chosen on seeds 20 to 22 of redkitchen `blocks`
@@ -70,6 +73,15 @@ class Beliefs:
         numbers = np.arange(len(self))[rows].tolist()
         mixtures, estimates = [self.mixtures[i] for i in numbers], [self.estimates[i] for i in numbers]
         return Beliefs([p[rows] for p in self.proba], mixtures, estimates)
+
+    def replaced(self, row: int, other: Beliefs) -> Beliefs:
+        """The same with the belief about one image in place of that in a row."""
+        mixtures, estimates = list(self.mixtures), list(self.estimates)
+        mixtures[row], estimates[row] = other.mixtures[0], other.estimates[0]
+        proba = [p.copy() for p in self.proba]
+        for mine, its in zip(proba, other.proba, strict=True):
+            mine[row] = its[0]
+        return Beliefs(proba, mixtures, estimates)
 
     def after(self, posteriors: Sequence[Posterior]) -> Beliefs:
         """The beliefs once other frames are known: each posterior, and where it is wrong, the image's own belief.
@@ -161,17 +173,23 @@ class Localizer:
         """The mode of an even softmax."""
         return mode_candidates([np.full((1, k), 1 / k) for k in self.bins.sizes], self.bins)[0]
 
+    def turn_for(self, position_xyz: FloatArray, quat_wxyz: FloatArray) -> float:
+        """Angle in radians by which to turn an image from about a pose, for the sources that use local features."""
+        turns = [source.turn_for(position_xyz, quat_wxyz) for source in self.sources if isinstance(source, TurnsImages)]
+        return next(iter(turns), 0.0)
+
     def beliefs(self, evidence: FrameEvidence) -> Beliefs:
         """Beliefs about the poses of n images.
 
-        Sources that use local features answer first. Where they recognise a place, no other is asked: its answer need
-        not be computed, and what the estimates leave spreads evenly.
+        Sources that use local features answer first. Where they recognise a place, others are asked only if their best
+        estimates could change the answer: their features need not be computed otherwise. What the estimates leave
+        spreads evenly.
         """
         n, measurements = len(evidence), dict[str, list[Sequence[PoseMeasurement]]]()
         densities: list[tuple[IntArray, list[RealArray]]] = []
 
-        def ask(rows: IntArray, *, local: bool) -> None:
-            for source in (one for one in self.sources if one.local == local and rows.size):
+        def ask(source: PoseSource, rows: IntArray) -> None:
+            if rows.size:
                 answer = source.answer(evidence if len(rows) == n else evidence.part(rows))
                 if answer.measurements:
                     by_image = dict(zip(rows.tolist(), answer.measurements, strict=True))
@@ -179,9 +197,12 @@ class Localizer:
                 if answer.proba is not None:
                     densities.append((rows, answer.proba))
 
-        ask(np.arange(n), local=True)
+        for source in (one for one in self.sources if one.local):
+            ask(source, np.arange(n))
         estimates = [[one for answer in measurements.values() for one in answer[i]] for i in range(n)]
-        ask(np.array([i for i in range(n) if not recognised_only(estimates[i])], dtype=np.int64), local=False)
+        sigma_m = np.array([_best_sigma_m(each) for each in estimates])
+        for source in (one for one in self.sources if not one.local):
+            ask(source, np.flatnonzero(source.least_sigma_m <= _USEFUL * sigma_m))
         in_order = [measurements[source.name] for source in self.sources if source.name in measurements]
         proba, told = self._density(densities, n), sorted({i for rows, _ in densities for i in rows.tolist()})
         modes = dict(zip(told, mode_candidates([p[told] for p in proba], self.bins), strict=True))
@@ -229,6 +250,11 @@ def _fit(
 def recognised_only(estimates: Sequence[PoseMeasurement]) -> list[PoseMeasurement]:
     """The estimates of an image that are probably inliers."""
     return [one for one in estimates if one.inlier_probability >= RECOGNISED]
+
+
+def _best_sigma_m(estimates: Sequence[PoseMeasurement]) -> float:
+    """Standard deviation of the best estimate that is probably an inlier; infinite without one."""
+    return min((one.sigma_m for one in recognised_only(estimates)), default=math.inf)
 
 
 def belief_cells(bins: QuantileBins, depth_m: float = math.nan) -> QuantileBins:

@@ -25,7 +25,8 @@ from conformodal.localizer.localizer import Beliefs, Localizer, belief_cells
 from conformodal.localizer.observations import MotionPrior, Observations, Posterior
 from conformodal.localizer.regions import EvidenceType, PlaceNovelty, RegionRules, part_of, pose_scores
 from conformodal.localizer.sources.registry import SourceData
-from conformodal.tracking.motions import frame_features
+from conformodal.localizer.turning import TurnTracker
+from conformodal.tracking.motions import frame_features, turned_features
 
 from .config import ModelConfig, OdometryError
 from .model import HINDSIGHT, ONLINE, PATHS, PathRule, SourceComparison, path_rule
@@ -52,14 +53,25 @@ class CalibratedRegions:
 
 
 def calibrate_regions(
-    data: SourceData, folds: Folds, localizers: Sequence[Localizer], novelty: PlaceNovelty | None, config: ModelConfig
+    data: SourceData,
+    folds: Folds,
+    localizers: Sequence[Localizer],
+    novelty: PlaceNovelty | None,
+    config: ModelConfig,
+    motions: dict[int, RelativeMotion | None],
 ) -> CalibratedRegions:
-    """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone."""
+    """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone.
+
+    `motions` are those between held-out frames where stretches or recordings calibrate.
+    """
     pairs = list(zip(folds.folds, localizers, strict=True))
     for fold, localizer in pairs:
         _check_unseen(localizer, fold.held_out)
     local = all(localizer.local for localizer in localizers)
     beliefs = [localizer.beliefs(_evidence(data, fold.held_out, local=local)) for fold, localizer in pairs]
+    if local and folds.units is not None and not data.detector.rotation_invariant:
+        look = partial(_look_turned, data, folds.units, motions)
+        beliefs = [look(fold.held_out, by, one) for (fold, by), one in zip(pairs, beliefs, strict=True)]
     known_p = np.ones(len(folds.held_out))
     if novelty is not None:
         novelty, known_p = _novelty_of_held_out(novelty, folds, data, beliefs if local else None)
@@ -87,6 +99,30 @@ def calibrate_regions(
 
 def _evidence(data: SourceData, frames: IntArray, *, local: bool) -> FrameEvidence:
     return FrameEvidence(data.features[frames], data.local_features(frames) if local else ())
+
+
+def _look_turned(
+    data: SourceData,
+    units: IntArray,
+    motions: dict[int, RelativeMotion | None],
+    held_out: IntArray,
+    localizer: Localizer,
+    beliefs: Beliefs,
+) -> Beliefs:
+    """The beliefs about held-out frames, each stretch looked at as a stream: images that are rolled are turned."""
+    for rows in rows_by_label(units[held_out]):
+        turns = TurnTracker(localizer)
+        for row in rows.tolist():
+            frame = int(held_out[row])
+            turn = turns.next_turn(motions[frame])
+            if turn:
+                [upright] = data.local_features(np.array([frame]))
+                local = turned_features(data.sequence, frame, data.detector, turn, upright)
+                evidence = FrameEvidence(data.features[frame : frame + 1], [local])
+                beliefs = beliefs.replaced(row, localizer.beliefs(evidence))
+            turns.observe(beliefs.estimates[row])
+        raise_if_cancelled()
+    return beliefs
 
 
 def _out_of_range(localizer: Localizer, beliefs: Beliefs) -> BoolArray:

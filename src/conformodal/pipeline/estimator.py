@@ -26,6 +26,7 @@ from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import PoseFilter, Window, hindsight_posteriors
 from conformodal.localizer.observations import MotionPrior, choose_places, find_places
 from conformodal.localizer.regions import EvidenceType, PoseRegions
+from conformodal.localizer.turning import TurnTracker
 from conformodal.tracking.tracker import FrontEnd, MotionFrontEnd, affine_flow
 
 from .config import Method, OdometryError
@@ -210,6 +211,7 @@ class VisualOdometry(Odometry):
         self._front_end = MotionFrontEnd(self.model.camera)
         self._watch = InputWatch(self.model.expected_input)
         self._filter.reset()
+        self._turns = TurnTracker(self.model.localizer)
         self._last_s = self._usable_s = None
 
     def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
@@ -217,12 +219,15 @@ class VisualOdometry(Odometry):
         motion = self._front_end.measure(grey)
         local_features = []
         if self.model.looks_at_local_features:
-            local_features = [extract_local_features(grey, self.model.camera, self.model.detector)]
+            turn = 0.0 if self.model.detector.rotation_invariant else self._turns.next_turn(motion)
+            local_features = [extract_local_features(grey, self.model.camera, self.model.detector, turn)]
             if self._usable_s is not None:
                 flow = affine_flow(self._front_end.tracker.step, timestamp_s - self._usable_s, self.model.camera)
                 local_features = [local_features[0]._replace(flow=flow)]
         network = partial(self.model.backbone.features_of, image)
-        return self._estimate(self.model.localize(FrameEvidence(network, local_features)), motion, timestamp_s)
+        localization = self.model.localize(FrameEvidence(network, local_features))
+        self._turns.observe(localization.beliefs.estimates[0])
+        return self._estimate(localization, motion, timestamp_s)
 
     def _estimate(self, localization: Localization, motion: RelativeMotion | None, timestamp_s: float) -> Estimate:
         """The estimate of the next frame, from the posterior up to it."""

@@ -72,3 +72,11 @@ def look_through(
 def frame_features(sequence: Recording, i: int, detector: Detector) -> LocalFeatures:
     """Local features of a frame of a sequence, with its flow from the frame before."""
     return look_through(sequence, np.array([i]), detector, motions=False).features[i]
+
+
+def turned_features(
+    sequence: Recording, i: int, detector: Detector, turn_rad: float, upright: LocalFeatures
+) -> LocalFeatures:
+    """Local features of a frame of a sequence that is turned before; flow and quality are those found `upright`."""
+    turned = extract_local_features(sequence.image(i), sequence.camera, detector, turn_rad)
+    return turned._replace(flow=upright.flow, quality=upright.quality)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -36,6 +37,7 @@ class HeadSource:
 
     name: ClassVar[str] = "head"
     local: ClassVar[bool] = False
+    least_sigma_m: ClassVar[float] = math.inf  # its modes refine no estimate
 
     head: SoftmaxHead
     frames: IntArray

@@ -64,6 +64,7 @@ class LandmarkSource:
 
     name: ClassVar[str] = "landmarks"
     local: ClassVar[bool] = True
+    least_sigma_m: ClassVar[float] = 0.0  # it is always asked
 
     map: LandmarkMap
     frames: IntArray
@@ -110,6 +111,10 @@ class LandmarkSource:
             rows = zip(images, at_unit_length(evidence.coarse(self.grid)), strict=True)
             images = [image._replace(global_descriptor=row) for image, row in rows]
         return SourceAnswer(measurements=in_threads(self.localize, images))
+
+    def turn_for(self, position_xyz: FloatArray, quat_wxyz: FloatArray) -> float:
+        """See :meth:`~conformodal.localizer.sources.landmark_map.LandmarkMap.turn_for`."""
+        return self.map.turn_for(position_xyz, quat_wxyz)
 
     def localize(self, image: LocalFeatures) -> list[PoseMeasurement]:
         """Estimates of one image whose standard deviation is below half the scene's depth."""

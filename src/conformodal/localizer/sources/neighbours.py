@@ -48,6 +48,7 @@ _SETTINGS: dict[str, Any] = {
     "errors": ErrorModel.json_schema(n_support=1),
     "typical": _POSITIVE,
     "limit": _POSITIVE,
+    "least_sigma_m": _POSITIVE,
 }
 
 
@@ -225,6 +226,7 @@ class NeighbourSource:
     typical: float  # median novelty of left-out frames
     limit: float  # its upper end
     errors: ErrorModel  # as a function of novelty
+    least_sigma_m: float  # that it states of images: of left-out frames, nine in ten have a larger one
 
     @classmethod
     def fit(cls, data: SourceData, frames: IntArray) -> Self | None:
@@ -246,7 +248,10 @@ class NeighbourSource:
         )
         errors = fit_error_model(held_out, same_place)
         limit = max(float(np.quantile(answers.novelty, _USUAL)), typical)
-        return None if errors is None else cls(regression.slim(), frames, typical, limit, errors)
+        if errors is None:
+            return None
+        least = float(np.quantile(errors.position * novelty**errors.position_growth, 1 - _USUAL))
+        return cls(regression.slim(), frames, typical, limit, errors, least)
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """One estimate per place that the nearest frames come from."""
@@ -276,7 +281,8 @@ class NeighbourSource:
         arrays: dict[str, AnyArray] = {name: getattr(one, name) for name in names}
         arrays |= {"frames": self.frames, **vars(one.projection)}
         settings = {"regression": one.settings._asdict(), "errors": asdict(self.errors)}
-        return SourceState(arrays, {**settings, "typical": self.typical, "limit": self.limit})
+        limits = {"typical": self.typical, "limit": self.limit, "least_sigma_m": self.least_sigma_m}
+        return SourceState(arrays, {**settings, **limits})
 
     @classmethod
     def from_state(cls, state: SourceState) -> Self:
@@ -286,4 +292,5 @@ class NeighbourSource:
         frames, projection = arrays.pop("frames"), Projection(arrays.pop("offset"), arrays.pop("components"))
         regression = LocalRegression(projection, settings=LocalSettings(**settings["regression"]), **arrays)
         errors = ErrorModel.from_json(settings["errors"])
-        return cls(regression, frames, float(settings["typical"]), float(settings["limit"]), errors)
+        typical, limit, least = (float(settings[name]) for name in ("typical", "limit", "least_sigma_m"))
+        return cls(regression, frames, typical, limit, errors, least)

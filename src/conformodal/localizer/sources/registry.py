@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 from importlib import import_module
 from threading import Lock
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
 from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import AnyArray, Float32Array, FloatArray, IntArray, RealArray
@@ -146,6 +146,11 @@ class PoseSource(Protocol):
     local: ClassVar[bool]  # whether it uses local features; left out where these were not extracted
 
     @property
+    def least_sigma_m(self) -> float:
+        """Standard deviation of its best estimates, in metres per axis: what it could add to those of other sources."""
+        ...
+
+    @property
     def frames(self) -> IntArray:
         """(m,) frames of the training data that it has seen, increasing."""
         ...
@@ -166,6 +171,15 @@ class PoseSource(Protocol):
     @classmethod
     def from_state(cls, state: SourceState) -> Self:
         """The source that was stored; refuses, by :meth:`SourceState.check`, a state that it could not work with."""
+        ...
+
+
+@runtime_checkable
+class TurnsImages(Protocol):
+    """A source that knows how an image is turned against the frames that it learnt from."""
+
+    def turn_for(self, position_xyz: FloatArray, quat_wxyz: FloatArray) -> float:
+        """Angle in radians by which to turn an image from about a pose, (3,) metres and (4,); 0 to leave it."""
         ...
 
 
