@@ -78,7 +78,6 @@ def demo(
             f"A drone flew along a dark hallway of {counted(N_MODULES, 'identical module')}, into every room. "
             f"{counted(len(model.split.train), 'frame')} trained a network, {len(model.split.calibration)} calibrated "
             f"its regions, {len(truth)} were held out: {metrics['split_note']}",
-            "There are no regions from several frames: at this alpha they take more stretches than one flight has.",
             alike,
             *describe_outcome("demo", metrics),
         ]

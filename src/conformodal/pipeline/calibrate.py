@@ -232,24 +232,23 @@ def calibrate_paths(
     prior: MotionPrior,
     motions: dict[int, RelativeMotion | None],
 ) -> dict[str, PathRule]:
-    """Rules of regions from posteriors, by path, where stretches or recordings calibrate: each is run as a stream, at
-    the recording's rate, by sources that had not seen it. `motions` are those between held-out frames.
+    """Rules of regions from posteriors, by path. `motions` are those between held-out frames.
 
-    None where single frames calibrate: a stream of these has gaps that no stream of a camera has, and posteriors that
-    rest on more images are sharper.
-
-    The guarantee, for a random frame of a new stretch that is run from its first frame, is approximate: the motion
+    Each stretch or recording that calibrates is run as a stream, at the recording's rate, by sources that had not seen
+    it. The guarantee, for a random frame of a new stretch that is run from its first frame, is approximate: the motion
     prior and the cells know the held-out poses.
+
+    Where single frames calibrate, the held-out ones of each recording are a stream. What they calibrate is a stream of
+    other frames drawn as they were: one with more frames a second has sharper posteriors.
     """
-    if folds.units is None:
-        return {}
     rules, units = calibrated.rules, folds.units
+    streams = sequence.recording if units is None else units
     scored: dict[str, list[_Scored]] = {path: [] for path in PATHS}
     start = 0
     for fold, localizer, beliefs in zip(folds.folds, localizers, calibrated.beliefs, strict=True):
         held_out = fold.held_out
         posteriors: dict[str, list[Posterior]] = {path: [] for path in PATHS}
-        order = rows_by_label(units[held_out])
+        order = rows_by_label(streams[held_out])
         for at in order:
             frames, rows = held_out[at], at.tolist()
             observations = Observations(
@@ -269,13 +268,15 @@ def calibrate_paths(
             scores = score_beliefs(rule, localizer, after, targets[held_out[rows]])
             scored[path].append(_Scored(scores, lost, np.array([one.unseen_s for one in each]), start + rows))
         start += len(held_out)
-    return {path: _path_rule(rules.overall, parts, units[folds.held_out]) for path, parts in scored.items()}
+    held_out_units = None if units is None else units[folds.held_out]
+    return {path: _path_rule(rules.overall, parts, held_out_units) for path, parts in scored.items()}
 
 
-def _path_rule(overall: SplitConformal, parts: list[_Scored], units: IntArray) -> PathRule:
-    """From the scores of the folds; `units` are those of all held-out frames."""
+def _path_rule(overall: SplitConformal, parts: list[_Scored], units: IntArray | None) -> PathRule:
+    """From the scores of the folds; `units` are those of all held-out frames, None if these are exchangeable."""
     every = _Scored.concatenate(parts)
-    rule = path_rule(overall.bins, overall.alpha).calibrate_scores(every.scores, units[every.rows])
+    rule = path_rule(overall.bins, overall.alpha)
+    rule.calibrate_scores(every.scores, None if units is None else units[every.rows])
     return PathRule(part_of(rule, ~every.lost), float(every.unseen_s[~every.lost].max(initial=0.0)))
 
 

@@ -37,6 +37,7 @@ from .stream import StreamRunner, as_trajectory
 
 _FIRST = 10  # frames of a stream whose times and colours are looked at
 _MUCH_LONGER = 300.0  # times as long a step is in another unit than seconds
+_ROUNDING = 1e-9  # of p-values, relative
 _SWAPPED = 0.2  # by how much the colours fit better with red and blue swapped
 
 
@@ -239,8 +240,8 @@ class VisualOdometry(Odometry):
         problems = [] if motion is None or motion.reliable else [str(motion.status)]
         if evidence is EvidenceType.UNKNOWN:
             problems.append(f"like no place that is known (p = {known_p:.2g})")
-        elif known_p <= self.model.rules.level:
-            problems.append(f"recognised more weakly than the frames that calibrate (p = {known_p:.2g})")
+        elif self.model.novelty is not None and known_p <= (1 + _ROUNDING) * self.model.novelty.least_p:
+            problems.append(f"recognised more weakly than every frame that calibrates (p = {known_p:.2g})")
         if best.probability < RELIABLE:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
         pose = Trajectory(np.array([timestamp_s]), best.position_xyz[None], best.orientation_quat_wxyz[None])

@@ -33,10 +33,14 @@ _BROKEN = (
     "These are not the frames, or not all of them, that were held out at random together with the calibration frames: "
     "coverage here is an observation, and no guarantee applies."
 )
-_PATHS = (
+_PATHS_OF_UNITS = (
     "Regions from posteriors are calibrated on held-out stretches (or recordings), each run as a stream by sources "
     "that had not seen it. The guarantee is about a random frame of a new stretch that is run so; it is approximate, "
     "as the motion prior knows the held-out poses."
+)
+_PATHS_OF_FRAMES = (
+    "Regions from posteriors are calibrated on the stream of the frames that were held out at random. The guarantee is "
+    "about another stream of random frames, such as the test part; posteriors of a video at a higher rate are sharper."
 )
 
 
@@ -152,7 +156,7 @@ def path_coverage_table(
         wrong = reliable & ~same_place(online, truth.positions_xyz, truth.orientations_quat_wxyz, model.prior)
         counts = {"n_reliable": reliable, "n_reliable_and_missed": missed, "n_reliable_and_elsewhere": missed & wrong}
         table |= {name: int(which.sum()) for name, which in counts.items()} | {"n_evaluated": len(reliable)}
-    table["assumption"] = _PATHS
+    table["assumption"] = _PATHS_OF_FRAMES if model.calibration.units_ is None else _PATHS_OF_UNITS
     return table
 
 

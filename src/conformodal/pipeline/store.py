@@ -339,7 +339,8 @@ def _rules(cells: QuantileBins, stated: dict[str, Any], arrays: dict[str, AnyArr
 def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], path: str) -> PathRule:
     rule = path_rule(rules.overall.bins, rules.overall.alpha)
     scores = np.repeat(arrays[f"path.{path}.scores"][:, None], rule.bins.n_targets, axis=1)
-    rule.calibrate_scores(scores, *(arrays[f"path.{path}.{name}"] for name in ("units", "sizes")))
+    of_units = () if rules.overall.units_ is None else ("units", "sizes")
+    rule.calibrate_scores(scores, *(arrays[f"path.{path}.{name}"] for name in of_units))
     return PathRule(rule, float(arrays[f"path.{path}.longest_gap_s"][0]))
 
 

@@ -101,9 +101,12 @@ def train_model(
     motions: dict[int, RelativeMotion | None] = {}
     local = any(find_source(name).local for name in config.sources)
     stretches = folds.units is not None
-    if config.method is not Method.PAPER and (local or stretches):
-        looked_at = np.union1d(folds.region_frames, folds.held_out)
-        motions = sources.look_through(looked_at, local=local, motions=stretches)
+    if config.method is not Method.PAPER and stretches:
+        motions = sources.look_through(np.union1d(folds.region_frames, folds.held_out), local=local, motions=True)
+    elif config.method is not Method.PAPER:
+        if local:
+            sources.look_through(folds.region_frames, local=True, motions=False)
+        motions = sources.look_through(folds.held_out, local=local, motions=True)
     *localizers, localizer = Localizer.fit_each(sources, parts, config.sources)
     localizers, train = localizers or [localizer], data.split.train
     prior = fit_motion_prior(data.sequence.require_truth()[train], data.sequence.recording[train])
