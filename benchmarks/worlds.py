@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from common import DATA, REDKITCHEN, RUNS, rmse
+from scipy.spatial.transform import Rotation
 
 from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
 from conformodal.corridor import write_corridor
@@ -17,6 +18,7 @@ from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory
 from conformodal.io import Recording, read_recording
+from conformodal.io.recording import join_recordings
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.observations import same_place
 from conformodal.pipeline.config import ModelConfig
@@ -34,19 +36,27 @@ CACHE = FeatureCache(RUNS / "cache")
 class World:
     """What is mapped, and what is answered: the test part, or all frames of another recording."""
 
-    mapped: Path | None  # None: a rendered corridor
+    mapped: tuple[Path, ...]  # recordings in one world frame; none: a rendered corridor
     split: str
     answered: Path | None = None
     features: str = "xfeat"  # local ones; a corridor's images are too small for XFeat to be better
+    poses: Path | None = None  # in place of those of the recording that is mapped
+    focal_px: float = float("nan")  # that belongs to these
 
 
+TUM, FR1 = DATA / "tum", ("fr1_desk", "fr1_xyz", "fr1_rpy")
+DESK, XYZ, RPY = (TUM / name for name in FR1)
+SFM = REDKITCHEN.parent / "seq-01_sfm_poses.txt"  # Brachmann et al. 2021: smoother than KinectFusion's
 WORLDS = {
-    "redkitchen, interleaved": World(REDKITCHEN, "interleaved"),
-    "redkitchen, blocks": World(REDKITCHEN, "blocks"),
-    "corridor, interleaved": World(None, "interleaved", features="orb"),
-    "fr1_xyz from fr1_desk": World(DATA / "tum" / "fr1_desk", "blocks", DATA / "tum" / "fr1_xyz"),
-    "fr1_desk from fr1_xyz": World(DATA / "tum" / "fr1_xyz", "blocks", DATA / "tum" / "fr1_desk"),
-    "icl_living_room, blocks": World(DATA / "icl_living_room", "blocks"),
+    "redkitchen, interleaved": World((REDKITCHEN,), "interleaved"),
+    "redkitchen, blocks": World((REDKITCHEN,), "blocks"),
+    "corridor, interleaved": World((), "interleaved", features="orb"),
+    "fr1_xyz from fr1_desk": World((DESK,), "blocks", XYZ),
+    "fr1_desk from fr1_xyz": World((XYZ,), "blocks", DESK),
+    "fr1_rpy from fr1_desk and fr1_xyz": World((DESK, XYZ), "blocks", RPY),
+    "redkitchen by SfM, interleaved": World((REDKITCHEN,), "interleaved", poses=SFM, focal_px=525.505),
+    "redkitchen by SfM, blocks": World((REDKITCHEN,), "blocks", poses=SFM, focal_px=525.505),
+    "icl_living_room, blocks": World((DATA / "icl_living_room",), "blocks"),
 }
 EVERY = ("head", "neighbours", "landmarks")
 OTHER_FEATURES = "the other local features"
@@ -64,6 +74,16 @@ def slug(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", name.lower())
 
 
+def with_poses(recording: Recording, file: Path, focal_px: float) -> Recording:
+    """A recording with the poses of a file of COLMAP's convention, a line per image: name, then world to camera."""
+    lines = [line.split() for line in file.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    by_image = {Path(name).name.split(".")[0]: np.array(numbers, float) for name, *numbers in lines}
+    rows = np.array([by_image[path.name.split(".")[0]] for path in recording.image_paths])
+    turned = Rotation.from_quat(rows[:, :4], scalar_first=True).inv()
+    poses = Trajectory(recording.timestamps_s, -turned.apply(rows[:, 4:]), turned.as_quat(scalar_first=True))
+    return replace(recording, poses=poses, camera=replace(recording.camera, fx=focal_px, fy=focal_px))
+
+
 class Laboratory:
     """Recordings and models of a world and a seed."""
 
@@ -73,10 +93,11 @@ class Laboratory:
     @cached_property
     def mapped(self) -> Recording:
         """What is mapped; a corridor is rendered first."""
-        folder = self.world.mapped or self.folder / "corridor"
-        if self.world.mapped is None and not (folder / "seq-01").is_dir():
-            write_corridor(folder, n_modules=N_MODULES, n_laps=N_LAPS, seed=self.seed)
-        return read_recording(folder)
+        corridor = self.folder / "corridor"
+        if not self.world.mapped and not (corridor / "seq-01").is_dir():
+            write_corridor(corridor, n_modules=N_MODULES, n_laps=N_LAPS, seed=self.seed)
+        recording = join_recordings([read_recording(folder) for folder in self.world.mapped or (corridor,)])
+        return recording if self.world.poses is None else with_poses(recording, self.world.poses, self.world.focal_px)
 
     @cached_property
     def answered(self) -> Recording:
@@ -85,7 +106,7 @@ class Laboratory:
 
     def config(self, variant: str) -> ModelConfig:
         """The settings of a variant."""
-        training = replace(TRAINING if self.world.mapped is None else TrainingConfig(), seed=self.seed)
+        training = replace(TrainingConfig() if self.world.mapped else TRAINING, seed=self.seed)
         features = self.world.features
         if variant == OTHER_FEATURES:
             features = "orb" if features == "xfeat" else "xfeat"
