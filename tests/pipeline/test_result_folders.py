@@ -22,8 +22,8 @@ from conformodal.pipeline.results import (
     ResultsWriter,
     lock_output,
     read_region_records,
+    read_run,
     read_trajectories,
-    write_metrics,
 )
 from tests.helpers import contents, fill, invoke, refusal, region_record
 
@@ -128,7 +128,7 @@ def write_results(folder, n=6, shift=0.0, truth=True, after=None):
         if truth:
             writer.truth(path)
     done = {"command": "run", "configuration": {}, "seed": 0, "sign_reference_quat_wxyz": [1, 0, 0, 0]}
-    write_metrics(folder, {**done, "results": writer.digests})
+    writer.publish({**done, "results": writer.digests})
 
 
 @pytest.mark.parametrize("after", [0, 3, 6])
@@ -149,6 +149,33 @@ def test_earlier_results_stay_where_the_next_run_breaks_off(tmp_path, after):
     assert not after_all.keys() & {*made, "truth.tum"}
     assert not [name for name in after_all if name.endswith(UNFINISHED)]
     assert read_trajectories(tmp_path)["smoothed"].positions_xyz[0, 0] == pytest.approx(2)
+
+
+@pytest.mark.parametrize("step", range(6))
+def test_a_run_that_is_killed_while_it_replaces_earlier_results_never_passes_for_one(tmp_path, monkeypatch, step):
+    """Before the first replacement the earlier run stands; a mixture is refused."""
+    write_results(tmp_path)
+    before, replace = contents(tmp_path), Path.replace
+    left = iter(range(step))
+
+    def killed(self, target):
+        if self.name.endswith(UNFINISHED) and next(left, None) is None:
+            raise KeyboardInterrupt
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", killed)
+    try:
+        write_results(tmp_path, shift=1.0)
+    except KeyboardInterrupt:
+        if step == 0:
+            assert {k: v for k, v in contents(tmp_path).items() if not k.endswith(UNFINISHED)} == before
+            assert read_run(tmp_path).answer.positions_xyz[0, 0] == pytest.approx(1)
+        elif step < 5:
+            with pytest.raises(ResultsError, match="Run it again"):
+                read_run(tmp_path)
+    else:
+        assert step == 5
+        assert read_run(tmp_path).answer.positions_xyz[0, 0] == pytest.approx(2)
 
 
 def drop(*names):

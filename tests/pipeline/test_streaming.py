@@ -47,6 +47,7 @@ def running(world, folder, **options):
         runner.finish()
         if runner.truth is not None:
             writer.truth(runner.truth)
+    writer.publish({})
 
 
 def stream(world, frames, folder, limit=None, **options):

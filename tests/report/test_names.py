@@ -52,6 +52,7 @@ def test_frames_of_any_name_are_stored_and_shown(name, tmp_path):
         writer.poses("smoothed", PATH)
         for t in range(3):
             writer.region(region_record(f"{name}{t}", float(t), [np.array([[-2.0, 2.0]])] * 7))
+    writer.publish({})
     records = read_region_records(tmp_path / "regions.jsonl")
     assert [r["frame"] for r in records] == [f"{name}{i}" for i in range(3)]
     viewer = make_viewer(records, {"smoothed": PATH}, images={f"{name}{i}": b"jpeg" for i in range(3)})

@@ -29,9 +29,9 @@ from conformodal.pipeline.guarantee import short_guarantee
 from conformodal.pipeline.identity import identify, same_poses
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.provenance import provenance
-from conformodal.pipeline.results import ResultsWriter, record_bounded, record_size, write_metrics
+from conformodal.pipeline.results import PAGE, ResultsWriter, record_bounded, record_size
 from conformodal.pipeline.stream import StreamRunner
-from conformodal.report.page import METHOD_LABELS, PAGE, write_page
+from conformodal.report.page import METHOD_LABELS, write_page
 from conformodal.report.viewer import Thumbnails, make_viewer
 
 from .console import report_line
@@ -222,13 +222,13 @@ def _explain(coverage: dict[str, Any]) -> str:
 def write_answers(
     answers: Answers, metrics: dict[str, Any], title: str, summary: list[str], walls: Sequence[FloatArray] = ()
 ) -> None:
-    """Write metrics and the page."""
-    folder, records, runner = answers.writer.folder, answers.writer.records, answers.runner
-    write_metrics(folder, metrics)
+    """Write the page, and publish it with the metrics and all that was written of the run."""
+    records, runner = answers.writer.records, answers.runner
     level, unit = answers.model.rules.level, metrics["configuration"]["unit"]
     trained_xyz = answers.model.known_frames.poses[answers.model.localizer.frames, :3]
     viewer = make_viewer(records, answers.trajectories, runner.truth, answers.pictures, level, walls, unit, trained_xyz)
-    write_page(folder / PAGE, title, summary, metrics, viewer)
+    write_page(answers.writer.unfinished(PAGE), title, summary, metrics, viewer)
+    answers.writer.publish(metrics)
 
 
 def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:

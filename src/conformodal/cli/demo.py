@@ -20,7 +20,6 @@ from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory
 from conformodal.io import Recording, SplitKind, read_recording
-from conformodal.io.pose_files import write_tum
 from conformodal.io.streams.frames import Frame, RecordingStream
 from conformodal.localizer.regions import PoseRegions
 from conformodal.pipeline.config import ModelConfig
@@ -64,7 +63,7 @@ def demo(
         classical = train_plain(prepare_training_data(sequence, config, features, report), config.training)
         looked_at = extract_features([sequence.image_paths[i] for i in answered], model.backbone, features)
         answers.trajectories["classical"] = classical.trajectory(looked_at, truth.timestamps_s)
-        write_tum(out / "methods" / "classical.tum", answers.trajectories["classical"])
+        answers.writer.poses("classical", answers.trajectories["classical"])
         world = CorridorWorld(N_MODULES, seed=seed)
         renderer, progress = Renderer(world), stage_of(report, "look-alikes")
         places = count_look_alikes(regions, truth, model.sign_reference, renderer, progress)

@@ -30,13 +30,14 @@ from .estimates import Estimate
 from .model import METHODS, PAPERS_METHOD
 
 REGIONS, METRICS, TRAJECTORY, TRUTH = "regions.jsonl", "metrics.json", "trajectory.tum", "truth.tum"
+PAGE = "report.html"
 UNFINISHED = ".part"  # follows the name of a file that a run has not finished, or was killed before it had
 _ANY_SIGN = np.array([1.0, 0.1, 0.01, 0.001])  # tells q from -q
 # The files of each command. The first tells whose a folder is that has no metrics; commands that run others come first.
 _FILES: dict[str, tuple[str, ...]] = {
-    "demo": ("corridor", "model", "report.html"),
+    "demo": ("corridor", "model", PAGE),
     "train": ("model.json",),
-    "run": (REGIONS, TRAJECTORY, TRUTH, "report.html"),
+    "run": (REGIONS, TRAJECTORY, TRUTH, PAGE),
 }
 
 
@@ -139,8 +140,8 @@ def _as_boxes(intervals: list[list[float | None]], n_targets: int) -> FloatArray
 class ResultsWriter:
     """Writes ``regions.jsonl``, ``trajectory.tum`` (the answer), ``methods/NAME.tum`` and ``truth.tum`` as frames come.
 
-    A context: a file has ``.part`` behind its name until the run ends; then it takes the place of an earlier run's, and
-    what was made from that goes. What a run that is killed had written stays in these; nothing else of it does.
+    A context: a file has ``.part`` behind its name until :meth:`publish` puts all of them in the place of an earlier
+    run's at once. What a run that is killed had written stays in these; nothing else of it does.
     """
 
     def __init__(self, folder: Path, answer: str = METHODS[0]) -> None:
@@ -158,21 +159,30 @@ class ResultsWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for file in self._open.values():
-            file.close()
-        if kind is None:
-            old = [TRUTH, "report.html", METRICS]
-            for pattern in (
-                "methods/*.tum",
-                *(f"evaluation*/{name}" for name in (METRICS, "errors.csv", "errors.svg")),
-            ):
-                old += [str(path.relative_to(self.folder)) for path in self.folder.glob(pattern)]
-            for name in set(old) - self._open.keys():
-                (self.folder / name).unlink(missing_ok=True)
-            for name in self._open:
-                (self.folder / f"{name}{UNFINISHED}").replace(self.folder / name)
-        elif not self.records:
+        self._close()
+        if kind is not None and not self.records:
             self._remove_unfinished()
+
+    def publish(self, metrics: dict[str, Any]) -> None:
+        """Put all files of the run, and its metrics, in the place of an earlier run's; what was made from that goes.
+
+        A page that was written to :meth:`unfinished` beforehand goes with them. Nothing of the earlier run is touched
+        before all files of this one are complete.
+        """
+        self._close()
+        write_whole(self.unfinished(METRICS), _metrics_text(metrics))
+        new = [name for name in (*self._open, PAGE, METRICS) if self.unfinished(name).exists()]
+        for name in new:
+            self.unfinished(name).replace(self.folder / name)
+        old = [TRUTH, PAGE]
+        for pattern in ("methods/*.tum", *(f"evaluation*/{name}" for name in (METRICS, "errors.csv", "errors.svg"))):
+            old += [str(path.relative_to(self.folder)) for path in self.folder.glob(pattern)]
+        for name in set(old) - set(new):
+            (self.folder / name).unlink(missing_ok=True)
+
+    def unfinished(self, name: str) -> Path:
+        """Where a file is until it is published."""
+        return self.folder / f"{name}{UNFINISHED}"
 
     def region(self, record: dict[str, Any]) -> None:
         """Write the region of the next frame, from :func:`record_of`."""
@@ -189,16 +199,20 @@ class ResultsWriter:
 
     @property
     def digests(self) -> dict[str, str]:
-        """SHA-256 of the files that numbers about a finished run rest on."""
-        return {name: _digest(self.folder / name) for name in (REGIONS, TRAJECTORY)}
+        """SHA-256 of the files that the numbers of a run that has ended rest on, before they are published."""
+        return {name: _digest(self.unfinished(name)) for name in (REGIONS, TRAJECTORY)}
 
     def _write(self, name: str, lines: Sequence[str]) -> None:
         if name not in self._open:
             # line buffered, so that others can follow a run
-            self._open[name] = (self.folder / f"{name}{UNFINISHED}").open("w", encoding="utf-8", buffering=1)
+            self._open[name] = self.unfinished(name).open("w", encoding="utf-8", buffering=1)
             lines = [TUM_HEADER, *lines] if name.endswith(".tum") else lines
         for line in lines:
             self._open[name].write(f"{line}\n")
+
+    def _close(self) -> None:
+        for file in self._open.values():
+            file.close()
 
     def _remove_unfinished(self) -> None:
         for path in [*self.folder.glob(f"*{UNFINISHED}"), *self.folder.glob(f"methods/*{UNFINISHED}")]:
@@ -211,7 +225,11 @@ def _digest(path: Path) -> str:
 
 def write_metrics(folder: Path, metrics: dict[str, Any]) -> None:
     """Write ``metrics.json``."""
-    write_whole(folder / METRICS, json.dumps(metrics, indent=1, allow_nan=False) + "\n")
+    write_whole(folder / METRICS, _metrics_text(metrics))
+
+
+def _metrics_text(metrics: dict[str, Any]) -> str:
+    return json.dumps(metrics, indent=1, allow_nan=False) + "\n"
 
 
 def _infinite(parts: list[list[float | None]]) -> list[list[float]]:

@@ -14,10 +14,11 @@ import numpy as np
 from conformodal.core.arrays import FloatArray, rows_by_label
 from conformodal.core.extras import require_extra
 from conformodal.core.files import write_whole
+from conformodal.pipeline.results import PAGE
 from conformodal.quality.examining import RecordingQuality
 from conformodal.quality.view_coverage import QUALITY
 
-from .page import METHOD_LABELS, PAGE, render_page
+from .page import METHOD_LABELS, render_page
 
 with require_extra("figures", "a figure"):
     import matplotlib as mpl

@@ -12,7 +12,6 @@ from conformodal.core.words import counted
 with require_extra("run", "a page of results"):
     from jinja2 import Environment, PackageLoader
 
-PAGE = "report.html"
 METHOD_LABELS = {
     "online": "online, as a robot gets it",
     "smoothed": "smoothed, with hindsight",
