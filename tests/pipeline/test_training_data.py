@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from conformodal.features.local import ORB
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import matrix_from_quat_wxyz
 from conformodal.io import Recording, Split, SplitKind, make_split, read_recording
@@ -13,7 +14,7 @@ from conformodal.pipeline.config import Calibration
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.plain import train_plain
 from conformodal.pipeline.store import load_model, save_model
-from conformodal.pipeline.training_data import TrainingData, make_folds, measure_depths
+from conformodal.pipeline.training_data import TrainingData, make_folds, match_depths, measure_depths
 
 
 def recorded(sizes):
@@ -120,6 +121,17 @@ def test_depths_of_redkitchen_are_those_of_a_kitchen_and_few_frames_say_nothing(
     assert 0.1 <= spread < 0.6
     for frames in (np.arange(4), np.array([5]), np.array([], dtype=np.int64), np.arange(0, 1000, 200)):
         assert np.isnan(measure_depths(sequence, frames)).all()
+
+
+def test_where_no_corner_can_be_tracked_matches_give_the_same_depth(redkitchen):
+    sequence = read_recording(redkitchen)
+    sparse = np.arange(0, 1000, 30)
+    assert np.isnan(measure_depths(sequence, sparse)).all()
+    depth, spread = match_depths(sequence, sparse, ORB)
+    assert depth == pytest.approx(measure_depths(sequence, np.arange(1000))[0], rel=0.25)
+    assert 0.1 <= spread < 0.6
+    for frames in (np.arange(4), np.array([], dtype=np.int64)):  # neighbours have no parallax
+        assert np.isnan(match_depths(sequence, frames, ORB)).all()
 
 
 def test_a_model_that_knows_no_depths_is_saved_and_answers(small_world, tmp_path):

@@ -15,12 +15,14 @@ from conformodal.core.ranges import as_member
 from conformodal.features.backbone import Backbone
 from conformodal.features.extract import FeatureCache
 from conformodal.features.head import Projection
-from conformodal.features.local import ORB, Detector
+from conformodal.features.local import ORB, Detector, match
 from conformodal.geometry import matrix_from_quat_wxyz
 from conformodal.geometry.adjustment import MAD_OF_NORMAL
+from conformodal.geometry.triangulation import Rays, triangulate
 from conformodal.io import Recording, Split, SplitKind, held_out_together
 from conformodal.io.decoding import grey_image
 from conformodal.localizer.sources.registry import SourceData
+from conformodal.tracking.motions import frame_features
 from conformodal.tracking.submaps import build_submaps
 from conformodal.tracking.tracker import CornerTracker
 
@@ -33,7 +35,9 @@ from .config import Calibration, ModelConfig, OdometryError
 _MOST_FOLDS = 4
 _STRETCHES, _FRAMES = 10, 12  # that the depth is measured on, spread over all training frames, and frames of each
 _GAP = 4.0  # a stretch ends at a gap longer than the median one by this factor
-_LEAST_SUBMAPS = 5  # with fewer, the depth is not known
+_LEAST_SUBMAPS = 5  # with fewer, or fewer pairs, the depth is not known
+# Pairs of frames whose corners are matched where none can be tracked, reliable points of a pair, and their tolerance
+_PAIRS, _LEAST_POINTS, _TOLERANCE_PX = 40, 20, 4.0
 _LEAST_SPREAD = 0.1  # standard deviation of the logarithm of the depth
 
 
@@ -57,8 +61,12 @@ class TrainingData:
 
     @cached_property
     def depths(self) -> tuple[float, float]:
-        """Median depth in metres and standard deviation of its logarithm, from the training part; or NaN."""
-        return measure_depths(self.sequence, self.split.train)
+        """Median depth in metres and standard deviation of its logarithm, from the training part; or NaN.
+
+        Where frames are too far apart for corners to be tracked, local features are matched instead.
+        """
+        tracked = measure_depths(self.sequence, self.split.train)
+        return tracked if np.isfinite(tracked).all() else match_depths(self.sequence, self.split.train, self.detector)
 
     def for_sources(self, config: ModelConfig, progress: StageProgress | None = None) -> SourceData:
         """The data as pose sources see them; local features and projections are cached for the next call."""
@@ -149,13 +157,39 @@ def measure_depths(sequence: Recording, frames: IntArray) -> tuple[float, float]
             path = submap.positions @ matrix_from_quat_wxyz(quats[submap.frames[:1]])[0].T
             way = places[submap.frames] - places[submap.frames[0]]
             depths.append(submap.depth * float(np.sum(path * way) / np.sum(path**2)))
-    depths = [depth for depth in depths if depth > 0]
+    return _median_and_spread([depth for depth in depths if depth > 0])
+
+
+def _median_and_spread(depths: list[float]) -> tuple[float, float]:
+    """Of some depths, and of their logarithms; NaN of too few."""
     if len(depths) < _LEAST_SUBMAPS:
         return float("nan"), float("nan")
     logs = np.log(depths)
     middle = float(np.median(logs))
     spread = float(np.median(np.abs(logs - middle))) / MAD_OF_NORMAL
     return float(np.exp(middle)), max(spread, _LEAST_SPREAD)
+
+
+def match_depths(sequence: Recording, frames: IntArray, detector: Detector) -> tuple[float, float]:
+    """As :func:`measure_depths`, from corners that match between training frames that follow each other."""
+    camera, poses = sequence.camera, sequence.require_truth().poses_se3
+    following = np.flatnonzero(np.diff(sequence.recording[frames]) == 0)
+    depths = []
+    for k in following[evenly_spread(len(following), _PAIRS)].tolist():
+        pair = frames[k : k + 2]
+        here, there = (frame_features(sequence, i, detector) for i in pair.tolist())
+        [matches] = match(here.descriptors, [there.descriptors])
+        if not len(matches):
+            continue
+        planes = [camera.on_plane(one.pixels[matches[:, j]]) for j, one in enumerate((here, there))]
+        corner, side = np.repeat(np.arange(len(matches)), 2), np.tile([0, 1], len(matches))
+        R_world_cam, centres = poses[pair, :3, :3], poses[pair, :3, 3]
+        rays = Rays(corner, corner, side, np.stack(planes, axis=1).reshape(-1, 2), R_world_cam, centres)
+        points = triangulate(rays, _TOLERANCE_PX / camera.fx)
+        along = (points.xyz[points.reliable] - centres[0]) @ R_world_cam[0, :, 2]
+        if len(along) >= _LEAST_POINTS:
+            depths.append(float(np.median(along)))
+    return _median_and_spread(depths)
 
 
 def _stretches(frames: IntArray, recording: IntArray) -> list[IntArray]:
