@@ -45,6 +45,8 @@ REFUSED = [
     ("run", "--view --view", "given twice"),
     ("train", "--splitt=blocks", "--split"),
     ("convert", "--to=kitti", "must be tum"),
+    *(("convert", f"--axes={value}", "axes must say") for value in ("x", "flf", "forward-back-up", "fluu", "")),
+    *(("convert", f"--world-axes={value}", "world axes must be") for value in ("x,y", "x,y,y", "yx-z", "x,y,w", "")),
     ("run", "--save=v.rrd --save-images", "--save-images"),
 ]
 
@@ -66,6 +68,7 @@ CONTRADICTIONS = [
     ("run MODEL VIDEO --part test", "video"),
     ("data convert DATA --topic /image", "--topic"),
     ("data convert DATA --camera DATA", "--camera"),
+    ("data convert VIDEO --camera DATA --axes flu", "--axes"),
 ]
 
 

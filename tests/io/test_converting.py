@@ -44,6 +44,31 @@ def test_frames_with_a_pose_keep_it_and_the_others_are_named(tmp_path, layout):
     np.testing.assert_array_equal(whole.poses.timestamps_s, after.timestamps_s)
 
 
+# camera axes, as columns, in those of the body
+BODIES = {"flu": [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], "forward-right-down": [[0, 0, 1], [1, 0, 0], [0, 1, 0]]}
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_poses_of_bodies_become_those_of_cameras(tmp_path, body):
+    folder = WRITERS[Layout.TUM](tmp_path / "a")
+    before = read_recording(folder).require_truth().poses_se3
+    run_ok("data", "convert", folder, "--out", tmp_path / "b", "--axes", body)
+    after = read_recording(tmp_path / "b").require_truth().poses_se3
+    np.testing.assert_allclose(after[:, :3, :3], before[:, :3, :3] @ np.array(BODIES[body]), atol=1e-6)
+    np.testing.assert_allclose(after[:, :3, 3], before[:, :3, 3], atol=1e-9)
+
+
+@pytest.mark.parametrize("world_axes", ["y,x,-z", "x,-z,y"])
+def test_positions_are_turned_and_inverse_poses_inverted(tmp_path, world_axes):
+    folder = WRITERS[Layout.TUM](tmp_path / "a")
+    back = np.linalg.inv(read_recording(folder).require_truth().poses_se3)
+    turned = {"y,x,-z": back[:, [1, 0, 2], 3] * (1, 1, -1), "x,-z,y": back[:, [0, 2, 1], 3] * (1, -1, 1)}
+    run_ok("data", "convert", folder, "--out", tmp_path / "b", "--world-to-camera", "--world-axes", world_axes)
+    after = read_recording(tmp_path / "b").require_truth().poses_se3
+    np.testing.assert_allclose(after[:, :3, 3], turned[world_axes], atol=1e-6)
+    np.testing.assert_allclose(after[:, :3, :3], back[:, :3, :3], atol=1e-6)
+
+
 class Failing:
     """A stream that fails after some frames."""
 

@@ -16,6 +16,7 @@ from conformodal.geometry.metrics import MAX_GAP_S
 from conformodal.io import DatasetError, Layout, Recording, check_recording
 from conformodal.io.check import DatasetCheck
 from conformodal.io.convert import convert_stream
+from conformodal.io.diagnosis.axes import OPENCV, convert_poses, parse_axes, parse_world_axes
 from conformodal.io.frame_table import NO_POSE
 from conformodal.io.recording import as_camera, join_recordings
 from conformodal.io.streams.frames import RecordingStream
@@ -120,15 +121,24 @@ def convert(
     max_gap: MaxGap = MAX_GAP_S,
     time_offset: TimeOffset = 0.0,
     topic: Annotated[str | None, typer.Option(help="Image topic of a ROS recording that has several.")] = None,
+    axes: Annotated[str, typer.Option(help="Where x, y, z of the poses point, as the camera sees.")] = OPENCV,
+    world_axes: Annotated[str, typer.Option(help="Positions' axes that are those of orientations: y,x,-z.")] = "x,y,z",
+    world_to_camera: Annotated[bool, typer.Option("--world-to-camera", help="Poses are inverse.")] = False,
 ) -> None:
     """Convert a data set, a video or a ROS recording to a data set in TUM's layout, poses included."""
     if to != "tum":
         raise OptionError(f"--to must be tum, the only layout that is written, got {to!r}")
+    parse_axes(axes), parse_world_axes(world_axes)  # refused before images are read
     stream = open_source(source, layout, topic=topic)
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
     given = stream.sequence.poses if isinstance(stream, RecordingStream) else None
     truth = given if poses is None else read_poses(poses, time_offset, stream, max_gap)
+    changed = (axes, world_axes, world_to_camera) != (OPENCV, "x,y,z", False)
+    if changed and truth is None:
+        raise OptionError(f"--axes, --world-axes and --world-to-camera are for poses, and {stream.name} has none")
+    if truth is not None and changed:
+        truth = convert_poses(truth, axes, world_axes, world_to_camera=world_to_camera)
     if stream.camera is not None and camera is not None:
         raise OptionError(f"--camera is for sources without calibration, and {stream.name} has {stream.camera}")
     lens = stream.camera or lens_of(stream, camera)

@@ -11,8 +11,8 @@ import numpy as np
 from conformodal.core.progress import Progress
 
 from .cameras import OF_LAYOUT, OTHER_CAMERA, SCALED
-from .convention import doubt_poses
 from .decoding import TURNED
+from .diagnosis.images import diagnose_poses
 from .errors import ImageError
 from .frame_table import CONVERTED, INTERPOLATED, OWN_SCALE
 from .reading import by_what
@@ -77,8 +77,8 @@ def check_recording(sequence: Recording, progress: Progress | None = None) -> Da
         if speed.size:
             jumps = (speed > _JUMP * np.median(speed)) & (lengths > _LEAST_JUMP_M)
             add(f"position jumps, more than {_JUMP:g} times as fast as usual, before", (linked[jumps] + 1).tolist())
-    if sequence.poses is not None and (cause := doubt_poses(sequence)):
-        findings.append(Finding("poses do not fit the images", 1, cause))
+    if sequence.poses is not None and (cause := diagnose_poses(sequence)):
+        findings.append(Finding("poses do not fit the images", 1, str(cause)))
     digests, problems = _decode_all(sequence, progress)
     if problems:
         findings.append(Finding("image cannot be read", len(problems), problems[0]))

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
 from conformodal.core.arrays import FloatArray
-
-from .poses import Trajectory
+from conformodal.geometry import Trajectory
 
 _SAME_DEG, _TURNS_DEG = 0.01, 5.0  # orientations that never change, while the camera turns
 _WRONG_DEG, _MENDED = 10.0, 1 / 3  # a median error that asks for a cause, and what is left of it with the right one

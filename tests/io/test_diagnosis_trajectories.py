@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Trajectory
-from conformodal.geometry.doubts import doubt_clock, doubt_truth
+from conformodal.io.diagnosis.trajectories import doubt_clock, doubt_truth
 
 RATE_HZ, N = 10, 600
 MOUNT = Rotation.from_euler("xyz", [-90, 0, 90], degrees=True)
