@@ -22,12 +22,14 @@ from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, in_seconds, near
 
 from .cameras import uncalibrated_camera, undistort_to
 from .decoding import TURNED, common_size, image_fault, is_turned, refuse_few_bits
+from .diagnosis.stale import STALE_PICTURES, STALE_POSES, describe_stretches, stale_pictures, stale_poses
 from .errors import DatasetError, DatasetWarning
 from .pose_files import Faults, PoseRows, matrices_of, table_of
 from .reading import BETWEEN_RECORDINGS_S, Note, by_what, read_numbers
 from .recording import Recording
 
 NO_POSE = "no pose"
+LEFT_OUT_STALE = "left out, repeats to the last bit"
 OWN_SCALE, METRES_PER_UNIT = "the scale is its own", "metres-per-unit.txt"
 INTERPOLATED, CONVERTED = "poses are interpolated", "times are converted to seconds"
 DOUBTFUL, _UNUSABLE = "poses are doubtful", "pose cannot be used"
@@ -53,6 +55,8 @@ class FrameTable:
     source: Path | str = ""
     as_stored: bool = False  # whether poses and cameras are of images as stored, whatever EXIF says
     unit: str = "m"  # of positions: metres, or units of the data's own
+    stale: Faults = field(default_factory=dict)  # frames whose pose or picture repeats an earlier one, and why
+    _looked_for_stale_poses: bool = False  # in a file with times of its own
 
     @classmethod
     def of_recordings(cls, name: str, recordings: list[list[tuple[int, Path]]], rate_hz: float) -> Self:
@@ -83,12 +87,22 @@ class FrameTable:
         twice = np.flatnonzero((np.diff(truth.timestamps_s) == 0) & (np.diff(rows[sound], axis=0) != 0).any(axis=1))
         if twice.size:
             raise DatasetError(f"{path}: holds two poses for time {truth.timestamps_s[twice[0]]:.9f} s; remove one")
+        table_rows = rows[sound]
+        stale = stale_poses(table_rows[:, 0], table_rows[:, 1:], times, self.images)
+        held = np.zeros(len(truth), dtype=np.bool_)
+        for first, last in stale:
+            held[first + 1 : last + 1] = True
+        if stale:
+            self._tell_stale(STALE_POSES, describe_stretches(str(path), "pose", stale, table_rows[:, 0], len(truth)))
+        truth = truth[np.flatnonzero(~held)]
         poses, gaps = poses_at(truth, times)
         if not sound.all():
             lost = rows[~sound, 0]
             poses[np.abs(lost[nearest_in_time(lost, times)] - times) < _SAME_S] = np.nan
         bridged = gaps[np.isfinite(poses).all(axis=1)]
         if not bridged.size:
+            if stale:
+                raise DatasetError(f"{self.notes[-1].what}: {self.notes[-1].where}")
             hint = clock_hint(times, truth.timestamps_s)
             where = f"within {MAX_GAP_S:g} s around it, by time{hint}; give poses at the images' times"
             raise DatasetError(f"{path}: no image has a pose, or two {where}")
@@ -100,6 +114,11 @@ class FrameTable:
         for i, gap in enumerate(gaps.tolist()):
             around = f"those around it are {gap:.3g} s apart" if np.isfinite(gap) else "it is outside of their times"
             self.why[i] = f"no pose within 1 ms in {path}, and {around}"
+        for first, last in stale:  # up to the next pose that is not one of them
+            begin_s, end_s = table_rows[first, 0], table_rows[min(last + 1, len(table_rows) - 1), 0]
+            at = np.flatnonzero((times > begin_s) & (times < end_s) & ~np.isfinite(self.poses).all(axis=1))
+            self.stale |= dict.fromkeys(at.tolist(), f"its pose in {path} repeats that at {begin_s:.6f} s")
+        self._looked_for_stale_poses = True
 
     def scale_by(self, folder: Path) -> None:
         """Bring positions of another unit to metres by ``metres-per-unit.txt``; without it, they keep their own."""
@@ -134,23 +153,20 @@ class FrameTable:
         if unit:
             self.notes.append(Note(CONVERTED, f"{self.name}: {np.nanmedian(self.times):.6g} looks like {unit}"))
         camera = self._one_camera(focal)
-        rows = np.full((len(times), 7), np.nan) if self.poses is None else self.poses
+        rows = np.full((len(times), 7), np.nan) if self.poses is None else self.poses.copy()
+        if self.poses is not None:
+            self._drop_stale(times, rows)
         posed = np.asarray(np.isfinite(rows).all(axis=1))
         unposed = [] if self.poses is None else np.flatnonzero(~posed).tolist()
         without = {i: f"{self.images[i].name}: {self.why.get(i, 'has no pose')}" for i in unposed}
-        left_out: dict[int, Note] = {}
-        if require_poses:
-            left_out = {i: Note(f"left out, {NO_POSE}", why) for i, why in without.items()}
-            for i in np.flatnonzero(posed).tolist():
-                if fault := image_fault(self.images[i], (camera.width, camera.height)):
-                    left_out[i] = Note("left out, image cannot be read", fault)
+        left_out = self._unusable(camera, without, posed) if require_poses else {}
         kept = np.array([i for i in range(len(times)) if i not in left_out], dtype=np.int64)
         if not kept.size:
             raise DatasetError(f"{left_out[0].where} ({len(left_out)} frames, and none can be used)")
         with_pose = kept[posed[kept]]
         notes = [*self.notes, *(left_out[i] for i in sorted(left_out))]
         if with_pose.size and not require_poses:
-            notes += [Note(NO_POSE, why) for why in without.values()]
+            notes += [Note(NO_POSE, why) for i, why in without.items() if i not in self.stale]
         recording = Recording(
             name=self.name,
             image_paths=tuple(self.images[i] for i in kept),
@@ -165,6 +181,38 @@ class FrameTable:
         for what, places in by_what(notes).items():
             warnings.warn(f"{self.name}: {len(places)} x {what}: {places[0]}", DatasetWarning, stacklevel=3)
         return replace(recording, notes=tuple(notes))
+
+    def _unusable(self, camera: PinholeCamera, without: Faults, posed: BoolArray) -> dict[int, Note]:
+        """Frames that are left out where poses are required: without a pose, a sound image, or new values."""
+        left_out = {i: Note(f"left out, {NO_POSE}", why) for i, why in without.items()}
+        left_out |= {i: Note(LEFT_OUT_STALE, f"{self.images[i].name}: {why}") for i, why in self.stale.items()}
+        for i in np.flatnonzero(posed).tolist():
+            if i not in left_out and (fault := image_fault(self.images[i], (camera.width, camera.height))):
+                left_out[i] = Note("left out, image cannot be read", fault)
+        return left_out
+
+    def _drop_stale(self, times: FloatArray, rows: FloatArray) -> None:
+        """Take poses (n, 7) away that repeat while the images move; find pictures that repeat while poses move."""
+        if not self._looked_for_stale_poses:
+            stale = stale_poses(times, rows, times, self.images, self.recording)
+            for first, last in stale:
+                rows[first + 1 : last + 1] = np.nan
+                why = f"its pose repeats that of {self.images[first].name}"
+                self.stale |= dict.fromkeys(range(first + 1, last + 1), why)
+            if stale:
+                where = describe_stretches(str(self.source or self.name), "pose", stale, times, len(rows))
+                self._tell_stale(STALE_POSES, where)
+        pictures = stale_pictures(self.images, times, rows, self.recording)
+        for first, last in pictures:
+            self.stale |= dict.fromkeys(
+                range(first + 1, last + 1), f"it repeats the picture of {self.images[first].name}"
+            )
+        if pictures:
+            self._tell_stale(STALE_PICTURES, describe_stretches(self.name, "picture", pictures, times, len(rows)))
+
+    def _tell_stale(self, what: str, where: str) -> None:
+        remedy = "the tracker lost the camera" if what == STALE_POSES else "the camera or its driver stopped"
+        self.notes.append(Note(what, f"{where}; {remedy} there: train leaves these frames out"))
 
     def _one_camera(self, focal: float | None) -> PinholeCamera:
         """The camera of most frames; images of others are brought to it."""

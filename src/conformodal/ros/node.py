@@ -17,6 +17,7 @@ from typing import Any
 
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import MissingPackageError
+from conformodal.io.diagnosis.stale import RepeatWatch
 from conformodal.io.streams import ros_messages
 from conformodal.io.streams.frames import SourceError
 from conformodal.pipeline.config import OdometryError
@@ -63,6 +64,7 @@ class PoseNode:
         self._conversion = Conversion(world_frame, make_message)
         self._kind = ros_messages.COMPRESSED if compressed else ros_messages.RAW
         self._last_s: float | None = None
+        self._repeats = RepeatWatch()
         self._answered_ns: int | None = None
         self._camera = self._refused = ""  # the camera as it was last published, and why it is not the model's
         odometry.reset()
@@ -100,6 +102,8 @@ class PoseNode:
                 image, problem = ros_messages.image_of(message, self._kind), ""
             except ValueError as exc:
                 image, problem = None, str(exc)
+            if image is not None and (problem := self._repeats.check(image, time_s, f"image of {time_s:.9f} s")):
+                image = None
             estimate = self.odometry.step(image, time_s)
             estimate = replace(estimate, problem=problem) if problem else estimate
         stamp = message.header.stamp
@@ -121,6 +125,7 @@ class PoseNode:
                 return False
             self._log.info("time was set back: the path begins anew")
             self.odometry.reset()
+            self._repeats = RepeatWatch()
             self._conversion.reset()
         self._last_s = time_s
         return True

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
@@ -19,10 +17,10 @@ from conformodal.io.recording import Recording
 
 from .axes import OPENCV, advise_axes, describe_axes, name_axes, name_world_axes, signed_permutations
 from .cause import Cause
+from .flow import corners_of, flow_px, tracked_corners
 
-_PAIRS, _STEPS, _CORNERS, _MIN_MATCHES = 32, (1, 2, 4, 8), 300, 200
+_PAIRS, _STEPS, _MIN_MATCHES = 32, (1, 2, 4, 8), 200
 _FLOW_PX = 4.0
-_MIN_TRACKED = 0.5  # of the corners: where frames are so far apart that most are lost, many of the others are wrong
 _NEAR_PX = 2.0  # from the epipolar line
 # Shares of the matches near their line. Poses by motion capture, fusion or rendering have 0.89 to 1.00 as they are,
 # 0.27 to 0.66 a tenth of a second late and 0.09 to 0.34 a second late (TUM fr1, 7-Scenes, ICL-NUIM).
@@ -280,35 +278,19 @@ class _LaterFrame(NamedTuple):
 
 def _match_later_frame(recording: Recording, frames: list[int]) -> _LaterFrame | None:
     """A later frame of the first one's recording in which corners have moved; None where nothing moves."""
-    for step, pixels in _tracked(recording, frames):
-        if _flow_px(pixels) >= _FLOW_PX:
-            return _LaterFrame(step, pixels)
-    return None
-
-
-def _tracked(recording: Recording, frames: list[int]) -> Iterator[tuple[int, FloatArray]]:
-    """Corners of the first of some frames in later ones, 1, 2, 4 and 8 on: (m, 2, 2) as long as most are found."""
     number = recording.recording[frames[0]]
     try:
         grey = grey_image(recording.image(frames[0]))
-        corners = cv2.goodFeaturesToTrack(grey, _CORNERS, 0.01, 7)
+        corners = corners_of(grey)
         for step in _STEPS:
             if corners is None or step >= len(frames) or recording.recording[frames[step]] != number:
-                return
-            other = grey_image(recording.image(frames[step]))
-            tracked, there, _ = cv2.calcOpticalFlowPyrLK(grey, other, corners, None)  # type: ignore[call-overload]
-            again, back, _ = cv2.calcOpticalFlowPyrLK(other, grey, tracked, None)  # type: ignore[call-overload]
-            found = (there & back).ravel().astype(bool) & (np.linalg.norm(again - corners, axis=2).ravel() < 1)
-            if found.mean() < _MIN_TRACKED:
-                return
-            yield step, np.stack((corners[found, 0], tracked[found, 0]), axis=1).astype(np.float64)
+                return None
+            pixels = tracked_corners(grey, grey_image(recording.image(frames[step])), corners)
+            if pixels is None or flow_px(pixels) >= _FLOW_PX:
+                return None if pixels is None else _LaterFrame(step, pixels)
     except ImageError:
         pass
-
-
-def _flow_px(pixels: FloatArray) -> float:
-    """By how much corners (m, 2, 2) usually move."""
-    return float(np.median(np.linalg.norm(pixels[:, 0] - pixels[:, 1], axis=1)))
+    return None
 
 
 def _rays(plane: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from typing import Protocol
 from conformodal.core.arrays import IntArray, UInt8Array
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.lens import view_as
+from conformodal.io.diagnosis.stale import RepeatWatch
 from conformodal.io.errors import DatasetError, ImageError
 from conformodal.io.reading import Note
 from conformodal.io.recording import Recording, join_recordings
@@ -150,6 +151,18 @@ def join_streams(streams: Sequence[FrameStream]) -> FrameStream:
     return RecordingStream(join_recordings(data_sets))
 
 
+def _without_stale_pictures(stream: FrameStream) -> Iterator[Frame]:
+    """Frames of a stream; those whose picture repeats to the last bit after a motion come without it."""
+    watch, recording = RepeatWatch(), None
+    for frame in stream:
+        if frame.recording != recording:
+            watch, recording = RepeatWatch(), frame.recording
+        if frame.image is not None and (problem := watch.check(frame.image, frame.timestamp_s, frame.name)):
+            yield replace(frame, image=None, problem=problem)
+        else:
+            yield frame
+
+
 def prefetch(stream: FrameStream, depth: int = DEPTH) -> Generator[Frame]:
     """Frames of a stream, decoded ahead; its :class:`SourceError` comes after all frames before it.
 
@@ -169,7 +182,7 @@ def prefetch(stream: FrameStream, depth: int = DEPTH) -> Generator[Frame]:
 
     def decode() -> None:
         try:
-            for frame in stream:
+            for frame in _without_stale_pictures(stream):
                 offer(frame)
                 if stopped.is_set():
                     return
