@@ -282,6 +282,16 @@ UNLIKELY = {
     "fx twice fy": ((80, 40, 32, 24, ()), "fx = 80 and fy = 40"),
     "a view of 145 degrees": ((10, 10, 32, 24, ()), "field of view of 145"),
     "a lens that folds the image": ((40, 40, 32, 24, (-2.0, 0, 0, 0)), "folds"),
+    "intrinsics of half the size": ((20, 20, 15.75, 11.75, ()), "about 32x24"),
+    "intrinsics of two thirds of the size": ((27, 27, 21, 16, ()), "about 42x32"),
+    "intrinsics of turned images": ((40, 40, 24, 32, ()), "turned by 90 degrees .48x64."),
+}
+# the same, where view or lens alone would be refused for another reason
+OF_OTHER_IMAGES = {
+    "half the size, with its lens": ((20, 20, 15.75, 11.75, (0.26, -0.95, -0.005, 0.003, 1.16)), "about 32x24"),
+    "an eightieth of the size": ((0.5, 0.5, 0.4, 0.3, ()), "shares of the image's sides"),
+    "a twentieth of the size": ((2.5, 2.5, 3.2, 2.4, ()), "about 6x5"),
+    "shares of the sides": ((0.6, 0.8, 0.5, 0.5, ()), "shares of the image's sides"),
 }
 
 
@@ -301,6 +311,14 @@ def test_an_unlikely_camera_is_told_and_read_and_a_usual_one_is_not(what):
     assert any(re.search(f"a file: .*{match}", where) for _, where in notes)
     camera_of("a file", (41.0, 40.0, 33.0, 23.0), SIZE, (-0.1, 0.02, 0.001, 0.002), notes=(usual := []))
     assert usual == []
+
+
+@pytest.mark.parametrize("what", OF_OTHER_IMAGES)
+def test_a_camera_of_other_images_is_told_before_its_view_and_lens(what):
+    (*pixels, lens), match = OF_OTHER_IMAGES[what]
+    with pytest.raises(DatasetError, match=match) as caught:
+        camera_of("a file", pixels, SIZE, lens, notes=[])
+    assert not re.search("field of view|fisheye", str(caught.value))
 
 
 # ---- what does no harm

@@ -7,19 +7,17 @@ import io
 from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from math import atan, degrees, hypot
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 
-from conformodal.core.arrays import FloatArray
 from conformodal.core.files import default_cache_dir, read_file, write_whole
 from conformodal.core.words import counted
 from conformodal.geometry import PinholeCamera, PoseError
 from conformodal.geometry.lens import filled_share, view_as
 
 from .decoding import decode, image_fault
+from .diagnosis.cameras import check_matrix, doubt_camera
 from .errors import DatasetError, ImageError
 from .reading import Note, read_numbers
 
@@ -29,10 +27,7 @@ INTRINSICS, DISTORTION = "camera-intrinsics.txt", "camera-distortion.txt"
 SCALED = "intrinsics were scaled"
 OF_LAYOUT, OTHER_CAMERA = "the camera is the layout's", "images of another camera are brought to one"
 
-UNDISTORT = "undistort the images to a pinhole camera first (such as colmap image_undistorter), and give that camera"
-_CANNOT_DEG, _UNLIKELY_DEG = (0.1, 170.0), (3.0, 130.0)  # fields of view
-_OFF_CENTRE, _UNLIKE = 0.2, 1.25  # of the image's side; of fx and fy
-_SAME_SHAPE, _MOST_BENT = 0.02, 10.0
+_SAME_SHAPE = 0.02
 
 
 def camera_of(
@@ -63,7 +58,10 @@ def camera_of(
         camera = PinholeCamera(fx, fy, cx, cy, *size, lens if any(lens) else ())
     except PoseError as exc:
         raise DatasetError(f"{source}: {exc}") from exc
-    notes += [Note("camera is unlikely", f"{source}: {doubt}") for doubt in _doubts(source, camera)]
+    doubts = doubt_camera(camera)
+    if doubts.impossible:
+        raise DatasetError(f"{source}: {doubts.impossible}")
+    notes += [Note("camera is unlikely", f"{source}: {doubt}") for doubt in doubts.unlikely]
     return camera
 
 
@@ -98,43 +96,6 @@ def uncalibrated_camera(folder: Path | str, size: Size, focal: float | None, not
     where = f"{folder}: focal length of {focal:.0f} pixels; without distortion, and the middle as principal point"
     notes.append(Note("the camera is not calibrated", where))
     return camera_of(f"{folder}: focal length", (focal, focal, size[0] / 2, size[1] / 2), size, notes=notes)
-
-
-def check_matrix(source: Path | str, k: FloatArray) -> None:
-    """Refuse a matrix (3, 3) that is not fx 0 cx, 0 fy cy, 0 0 1."""
-    least = max(abs(float(k[0, 0])), 1.0)
-    upright = np.allclose(k[2], (0, 0, 1), atol=1e-6, rtol=0) and not np.array_equal(k, np.eye(3))
-    if not np.isfinite(k).all() or not upright or abs(k[1, 0]) > 1e-3 * least or abs(k[0, 1]) > 1e-2 * least:
-        hint = "; is it transposed?" if np.allclose(k[:2, 2], 0, atol=1e-6) else ""
-        raise DatasetError(f"{source}: holds {k.tolist()}, expected rows 'fx 0 cx', '0 fy cy', '0 0 1'{hint}")
-
-
-def _doubts(source: Path | str, camera: PinholeCamera) -> list[str]:
-    """What is unlikely; refuses what is impossible."""
-    doubts = []
-    pixels = f"images of {camera.width}x{camera.height} pixels"
-    for name, sides in (("fx", camera.width / camera.fx), ("fy", camera.height / camera.fy)):
-        view = degrees(2 * atan(sides / 2))
-        doubt = f"{name} makes a field of view of {view:.3g} degrees with {pixels}"
-        if not _CANNOT_DEG[0] < view < _CANNOT_DEG[1]:
-            raise DatasetError(f"{source}: {doubt}; expected {_CANNOT_DEG[0]:g} to {_CANNOT_DEG[1]:g}")
-        doubts += [] if _UNLIKELY_DEG[0] < view < _UNLIKELY_DEG[1] else [doubt]
-    if max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5)) > _OFF_CENTRE:
-        doubts.append(
-            f"principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {pixels}; are the intrinsics "
-            f"those of images of about {2 * camera.cx:.0f}x{2 * camera.cy:.0f}?"
-        )
-    if not 1 / _UNLIKE < camera.fx / camera.fy < _UNLIKE:
-        doubts.append(f"fx = {camera.fx:g} and fy = {camera.fy:g} differ, and cameras have nearly square pixels")
-    k1, k2, p1, p2, k3 = (*camera.distortion, 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
-    r = np.linspace(0, hypot(camera.width / camera.fx, camera.height / camera.fy) / 2, 64)
-    bends = np.abs([k1 * r**2, k2 * r**4, k3 * r**6, 3 * p1 * r, 3 * p2 * r]).sum(axis=0)
-    if not bends[-1] < _MOST_BENT:
-        effect = f"moves the image's corner by {bends[-1]:.3g} of its distance from the middle"
-        raise DatasetError(f"{source}: distortion {camera.distortion} {effect}; of a fisheye, {UNDISTORT}")
-    if (1 + 3 * k1 * r**2 + 5 * k2 * r**4 + 7 * k3 * r**6 <= 0).any():
-        doubts.append(f"distortion {camera.distortion} folds the image over itself before its corner")
-    return doubts
 
 
 def undistort_to(

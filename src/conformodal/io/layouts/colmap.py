@@ -16,8 +16,9 @@ import numpy as np
 
 from conformodal.core.extras import require_extra
 from conformodal.geometry import PinholeCamera
-from conformodal.io.cameras import UNDISTORT, Size, camera_of
+from conformodal.io.cameras import Size, camera_of
 from conformodal.io.decoding import common_size
+from conformodal.io.diagnosis.cameras import UNDISTORT
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import DOUBTFUL, FrameTable
 from conformodal.io.pose_files import PoseRows, length_doubt, matrices_of, pose_faults, table_of

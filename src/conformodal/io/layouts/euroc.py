@@ -13,8 +13,9 @@ import yaml
 
 from conformodal.core.arrays import FloatArray
 from conformodal.geometry import PinholeCamera
-from conformodal.io.cameras import UNDISTORT, Size, camera_of
+from conformodal.io.cameras import Size, camera_of
 from conformodal.io.decoding import common_size
+from conformodal.io.diagnosis.cameras import UNDISTORT
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import FrameTable
 from conformodal.io.pose_files import euroc_table, matrix_faults

@@ -13,8 +13,9 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.geometry import rigid_motions
-from conformodal.io.cameras import camera_of, check_matrix
+from conformodal.io.cameras import camera_of
 from conformodal.io.decoding import common_size
+from conformodal.io.diagnosis.cameras import check_matrix
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import FrameTable
 from conformodal.io.pose_files import PoseRows, matrices_of, matrix_faults, table_of

@@ -11,8 +11,9 @@ import numpy as np
 from conformodal.core.arrays import AnyArray, UInt8Array
 from conformodal.core.extras import require_extra
 from conformodal.geometry import PinholeCamera
-from conformodal.io.cameras import UNDISTORT, Size, camera_of, check_matrix
+from conformodal.io.cameras import Size, camera_of
 from conformodal.io.decoding import decode
+from conformodal.io.diagnosis.cameras import UNDISTORT, check_matrix
 from conformodal.io.errors import DatasetError
 from conformodal.io.reading import Note
 
