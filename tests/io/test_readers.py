@@ -141,6 +141,62 @@ def test_poses_with_other_separators_and_a_head_that_names_the_order(tmp_path, h
     assert ("wxyz" in dict(recording.notes).get("poses are doubtful", "")) == (rows is ORDERED)
 
 
+# head, separator, and what stands in each column: of a row, w first, or another number
+NAMED = {
+    "a number of frames": ("timestamp, frame, x, y, z, qx, qy, qz, qw", ", ", [0, 7, 1, 2, 3, 5, 6, 7, 4]),
+    "an id behind": ("#timestamp x y z qx qy qz qw id", " ", [0, 1, 2, 3, 5, 6, 7, 4, "12"]),
+    "an index before": ("index,timestamp,tx,ty,tz,qw,qx,qy,qz", ",", ["12", 0, 1, 2, 3, 4, 5, 6, 7]),
+    "topics of ROS": (
+        "%time,field.header.seq,field.header.stamp,field.header.frame_id,field.pose.pose.position.x,"
+        "field.pose.pose.position.y,field.pose.pose.position.z,field.pose.pose.orientation.x,"
+        "field.pose.pose.orientation.y,field.pose.pose.orientation.z,field.pose.pose.orientation.w,"
+        "field.twist.twist.linear.x,field.twist.twist.linear.y,field.twist.twist.linear.z",
+        ",",
+        ["7", "1", 0, "odom", 1, 2, 3, 5, 6, 7, 4, "0.5", "0.5", "0.5"],
+    ),
+    "seconds and nanoseconds": ("sec;nanosec;x;y;z;qx;qy;qz;qw", ";", ["100", "ns", 1, 2, 3, 5, 6, 7, 4]),
+    "velocities before": ("time vx vy vz px py pz qw qx qy qz", "\t", [0, "1", "1", "1", 1, 2, 3, 4, 5, 6, 7]),
+    "units": ("# time [s], pos_x [m], pos_y [m], pos_z [m], q_w, q_x, q_y, q_z, std_x", ", ", [*range(8), "0.1"]),
+}
+
+
+@pytest.mark.parametrize("what", NAMED)
+def test_columns_are_found_by_their_names(tmp_path, what):
+    head, separator, columns = NAMED[what]
+    folder = WRITERS[Layout.TUM](tmp_path)
+    lines = []
+    for row in ORDERED.tolist():
+        nanoseconds = f"{round((row[0] - 100) * 1e9):09d}"
+        texts = [nanoseconds if c == "ns" else c if isinstance(c, str) else f"{row[c]:.9f}" for c in columns]
+        lines.append(separator.join(texts))
+    (folder / "groundtruth.txt").write_text("\n".join(["# exported", head, *lines]))
+    right(read_recording(folder))
+
+
+@pytest.mark.parametrize(
+    ("head", "match"),
+    [
+        ("# timestamp x y z qx qy qz qw x", "names x twice, as x and x"),
+        ("# poses", "names its 9 columns; name all columns in the line before"),
+        ("# timestamp x y z roll pitch yaw a b", "9 columns, where it has '# timestamp x y z roll pitch yaw a b'"),
+    ],
+)
+def test_a_column_too_much_is_told_with_what_to_do(tmp_path, head, match):
+    rows = np.column_stack((ORDERED, np.ones(N)))
+    with pytest.raises(DatasetError, match=match):
+        read_recording(tum(tmp_path, rows, head))
+
+
+@pytest.mark.parametrize("separator", [" ", ";", "; ", "\t"])
+def test_commas_that_are_decimal_marks_are_read_and_told(tmp_path, separator):
+    folder = WRITERS[Layout.TUM](tmp_path)
+    rows = ORDERED[:, [0, 1, 2, 3, 5, 6, 7, 4]].tolist()
+    lines = [separator.join(f"{v:.9f}" for v in row).replace(".", ",") for row in rows]
+    (folder / "groundtruth.txt").write_text("\n".join(lines))
+    right(recording := read_recording(folder))
+    assert "commas are read as decimal marks" in dict(recording.notes)["poses are doubtful"]
+
+
 @pytest.mark.parametrize("n_further", [6, 9, 12, 21, 36])
 def test_covariances_behind_poses_are_passed_over(tmp_path, n_further):
     rows = np.column_stack((ORDERED[:, [0, 1, 2, 3, 5, 6, 7, 4]], np.full((N, n_further), 0.25)))

@@ -1,12 +1,12 @@
 """Files with one pose per line, and what is wrong with a pose.
 
-- TUM: ``timestamp tx ty tz qx qy qz qw``, with the scalar of the quaternion last; covariances may follow (OpenVINS).
+- TUM: ``timestamp tx ty tz qx qy qz qw``, with the scalar of the quaternion last; covariances may follow (OpenVINS),
+  and a head that names all columns has its own.
 - EuRoC: CSV of ``timestamp [ns], p_x, p_y, p_z, q_w, q_x, q_y, q_z``; further columns are ignored.
 """
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -19,6 +19,7 @@ from conformodal.geometry import PoseError, Trajectory
 from conformodal.geometry.metrics import in_seconds
 from conformodal.geometry.poses import rotation_faults
 
+from .diagnosis.columns import has_decimal_commas, length_doubt, named_columns, quaternion_order, with_decimal_points
 from .errors import DatasetError
 from .reading import number, numbers_in, parse_lines, read_lines, tokens, whole_number
 
@@ -26,13 +27,11 @@ TUM_HEADER = "# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to worl
 Faults = dict[int, str]  # by row
 # Farther away than any place, in metres: squares of larger numbers overflow.
 _MOST_M = 1e9
-_LENGTH_OFF = 0.01  # of a unit quaternion
 _HEAD_LINES = 5
 _LOST_STEPS, _LARGE = 10, 95  # from the identity to the poses around it, each as large as this percentile
 _EUROC = 17  # numbers of a line, velocity and biases among them
 # Numbers of TUM's lines with covariances: variances, those of the position, of both halves, half of (6, 6) or all.
 _COVARIANCES = (14, 17, 20, 29, 44)
-_COLUMN = re.compile(r"\bq(?:uat)?(?:[a-z_.]*[_.])?([wxyz])\b", re.IGNORECASE)
 
 
 @dataclass(eq=False)
@@ -85,18 +84,33 @@ def read_tum(path: Path) -> Trajectory:
 
 
 def tum_table(path: Path) -> PoseRows:
-    """Rows with times (n, 8) of a file in TUM's format, or in EuRoC's, which has more columns and whole nanoseconds."""
-    first = tokens(next((line for line in read_lines(path) if line.lstrip()[:1].isdigit()), ""))
-    if len(first) == _EUROC and first[0].isdigit():
+    """Rows with times (n, 8) of a file in TUM's format, with columns as its head names them, or in EuRoC's."""
+    heads, first = _head_and_first(path)
+    commas = has_decimal_commas(first)
+    values = tokens(with_decimal_points(first) if commas else first)
+    if len(values) == _EUROC and values[0].isdigit():  # whole nanoseconds
         table = euroc_table(path)
         table.doubts.append(f"{path}: has the poses of EuRoC's body, not of its camera; name the data set's folder")
         return table
-    count = len(first) if len(first) in _COVARIANCES else 8
+    columns = named_columns(path, heads, len(values))
+    count = len(values) if len(values) in _COVARIANCES else 8
 
     def parse(line: str) -> list[float]:
-        return numbers_in(line, count)[:8]
+        text = with_decimal_points(line) if commas else line
+        return numbers_in(text, count)[:8] if columns is None else columns.parse(text)
 
-    return _timed(path, parse, f"{count} numbers 'timestamp tx ty tz qx qy qz qw'", "xyzw")
+    if columns is not None:
+        table = _timed(path, parse, f"{len(columns.names)} numbers '{' '.join(columns.names)}'", "xyzw")
+        if columns.order != "xyzw":
+            table.doubts.append(_named_order(path, columns.order, "xyzw"))
+    else:
+        order = quaternion_order(heads) or "xyzw"
+        table = _timed(path, parse, _expected(path, heads, values, count), order)
+        if order != "xyzw":
+            table.doubts.append(_named_order(path, order, "xyzw"))
+    if commas:
+        table.doubts.append(f"{path}: its commas are read as decimal marks")
+    return table
 
 
 def euroc_table(path: Path) -> PoseRows:
@@ -106,51 +120,46 @@ def euroc_table(path: Path) -> PoseRows:
         values = tokens(line)
         return [whole_number(values[0]) / 1e9, *(number(values[k]) for k in range(1, 8))]
 
-    return _timed(path, parse, "'timestamp [ns], x, y, z, qw, qx, qy, qz'", "wxyz")
+    order = quaternion_order(_head_and_first(path)[0]) or "wxyz"
+    table = _timed(path, parse, "'timestamp [ns], x, y, z, qw, qx, qy, qz'", order)
+    if order != "wxyz":
+        table.doubts.append(_named_order(path, order, "wxyz"))
+    return table
+
+
+def _named_order(path: Path, order: str, usual: str) -> str:
+    return f"{path}: its quaternions are read as {order}, as its head names them; usual is {usual}"
+
+
+def _head_and_first(path: Path) -> tuple[list[str], str]:
+    """The lines before the first one of numbers, at most five, and that one."""
+    lines = [line for line in read_lines(path) if line.strip()]
+    at = next((k for k, line in enumerate(lines) if line.lstrip()[0] in "+-.0123456789"), len(lines))
+    return lines[:at][-_HEAD_LINES:], (lines[at] if at < len(lines) else "")
+
+
+def _expected(path: Path, heads: list[str], values: list[str], count: int) -> str:
+    """What a line should be, and what to do where it has other columns."""
+    expected = f"{count} numbers 'timestamp tx ty tz qx qy qz qw'"
+    if len(values) <= count:
+        return expected
+    head = next((line.strip()[:80] for line in reversed(heads) if len(tokens(line)) >= len(values)), "")
+    names = f", where it has {head!r}" if head else ""
+    further = f"{len(values)} columns{names}; name all columns in the line before the first pose, such as"
+    return f"{expected}, or a head that names its {further} '# timestamp id x y z qx qy qz qw'"
 
 
 def _timed(path: Path, parse: Callable[[str], list[float]], expected: str, order: str) -> PoseRows:
-    """Rows (n, 8) with quaternions ``wxyz``, of a file that has them in an order unless its head names another."""
+    """Rows (n, 8) with quaternions ``wxyz``, of a file that has them in an order."""
     table = PoseRows(path, np.array(parse_lines(path, parse, expected)))
     if not np.isfinite(table.rows[:, 0]).all():
         raise DatasetError(f"{path}: a time is not finite; correct or remove its line")
     if doubt := length_doubt(path, table.rows[:, 1:], 3):
         table.doubts.append(doubt)
-    named = _quaternion_order(path) or order
-    if named != order:
-        table.doubts.append(f"{path}: its quaternions are read as {named}, as its head names them; usual is {order}")
-    table.rows = rows = table.rows[:, [0, 1, 2, 3, *(4 + named.index(letter) for letter in "wxyz")]]
+    table.rows = rows = table.rows[:, [0, 1, 2, 3, *(4 + order.index(letter) for letter in "wxyz")]]
     lost = lost_faults(rows[:, 1:4], (rows[:, 1:] == (0, 0, 0, 1, 0, 0, 0)).all(axis=1))
     table.drop(pose_faults(rows[:, 1:4], rows[:, 4:]) | lost)
     return table
-
-
-def _quaternion_order(path: Path) -> str:
-    """The letters w, x, y, z in the order in which the head of a file names a quaternion's columns, or nothing."""
-    for line in read_lines(path)[:_HEAD_LINES]:
-        letters = "".join(_COLUMN.findall(line)).lower()
-        if sorted(letters) == sorted("wxyz"):
-            return letters
-    return ""
-
-
-def length_doubt(path: Path, values: FloatArray, at: int) -> str:
-    """What is wrong with the lengths of quaternions, the columns `at` to `at` + 3 of poses (n, 7), or nothing.
-
-    Where other columns have unit length, the order is likely another.
-    """
-    with np.errstate(over="ignore"):
-        lengths = np.array([np.linalg.norm(values[:, k : k + 4], axis=1) for k in range(4)])
-    off = np.flatnonzero((np.abs(lengths[at] - 1) > _LENGTH_OFF) & (lengths[at] > 0))
-    if not off.size:
-        return ""
-    apart = np.nanmedian(np.abs(lengths - 1), axis=1)
-    best = int(np.argmin(apart))
-    order = f"; columns {best + 1} to {best + 4} of the pose have unit length: is the order another?"
-    return (
-        f"{path}: pose {off[0]} (counted from 0) has a quaternion of length {lengths[at, off[0]]:.4g}, expected 1; so "
-        f"have {off.size} of {len(values)}; they are normalised{order if apart[best] < 1e-3 and best != at else ''}"
-    )
 
 
 def pose_faults(positions: FloatArray, quats: FloatArray) -> Faults:

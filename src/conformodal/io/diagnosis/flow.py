@@ -5,18 +5,19 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from conformodal.core.arrays import FloatArray, UInt8Array
+from conformodal.core.arrays import Float32Array, FloatArray, UInt8Array
 
 _CORNERS = 300
 MIN_TRACKED = 0.5  # of the corners: where frames are so far apart that most are lost, many of the others are wrong
 
 
-def corners_of(grey: UInt8Array) -> FloatArray | None:
+def corners_of(grey: UInt8Array) -> Float32Array | None:
     """Corners (k, 1, 2) of an image (h, w), if it has any."""
-    return cv2.goodFeaturesToTrack(grey, _CORNERS, 0.01, 7)
+    corners = cv2.goodFeaturesToTrack(grey, _CORNERS, 0.01, 7)
+    return None if corners is None else np.asarray(corners, dtype=np.float32)
 
 
-def tracked_corners(grey: UInt8Array, other: UInt8Array, corners: FloatArray | None = None) -> FloatArray | None:
+def tracked_corners(grey: UInt8Array, other: UInt8Array, corners: Float32Array | None = None) -> FloatArray | None:
     """Corners (m, 2, 2) of an image in both, if most of them are found and back again; `corners` are those known."""
     corners = corners_of(grey) if corners is None else corners
     if corners is None:

@@ -14,9 +14,10 @@ import numpy as np
 from conformodal.geometry import PinholeCamera
 from conformodal.io.cameras import camera_beside
 from conformodal.io.decoding import common_size
+from conformodal.io.diagnosis.columns import length_doubt
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import DOUBTFUL, FrameTable
-from conformodal.io.pose_files import PoseRows, length_doubt, pose_faults
+from conformodal.io.pose_files import PoseRows, pose_faults
 from conformodal.io.reading import FRAME_RATE_HZ, Note, numbered_frames, numbers_in, parse_lines, recording_folders
 
 CAMERA = PinholeCamera(570.3, 570.3, 320.0, 240.0, 640, 480)
