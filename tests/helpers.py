@@ -10,6 +10,8 @@ from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.regions import EvidenceType, PoseRegions, Support
 from conformodal.pipeline.results import record_of
 
+LFS_POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"ab" * 32 + b"\nsize 12345\n"
+
 
 def invoke(*arguments):
     from typer.testing import CliRunner  # not before a test of the command line runs

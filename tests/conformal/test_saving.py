@@ -90,10 +90,10 @@ def test_types_of_others_are_named_and_need_trust(tmp_path):
     np.testing.assert_array_equal(ConformalRegressor.load(path, trusted=[name]).predict(X), reg.predict(X))
 
 
-def archive():
+def archive(name="schema.json"):
     held = io.BytesIO()
     with zipfile.ZipFile(held, "w") as files:
-        files.writestr("schema.json", "{}")
+        files.writestr(name, "{}")
     return held.getvalue()
 
 
@@ -102,6 +102,8 @@ def archive():
     [(None, "cannot be read"), (b"text", "is not a saved regressor"), (archive(), "is not a saved regressor"),
      (skops.dumps({"format": "x"}), "is not a complete conformodal-table-6"),
      (skops.dumps({"format": "conformodal-table-1", "scikit-learn": "0", "regressor": 3}), "fit and save it again"),
+     (skops.dumps({"format": "conformodal-table-99", "scikit-learn": "0", "regressor": 3}), "update conformodal"),
+     (archive("reg.skops"), "is an archive .zip.; unpack it"),
      (skops.dumps({"format": "conformodal-table-6", "scikit-learn": "0", "regressor": 3}), "is not a saved")],
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore:.*saved with scikit-learn")

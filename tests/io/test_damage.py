@@ -6,6 +6,7 @@ Nothing shifts, and nothing outside the folder is read.
 import json
 import os
 import re
+import shutil
 import unicodedata
 import warnings
 from collections import Counter
@@ -19,6 +20,7 @@ from conformodal.conformal import ConformodalError
 from conformodal.io import DatasetError, DatasetWarning, ImageError, Layout, read_recording
 from conformodal.io.cameras import camera_of
 from conformodal.io.pose_files import matrix_faults, pose_faults
+from tests.helpers import LFS_POINTER
 from tests.io.test_layouts import SIZE, WRITERS, N, matrices, picture
 
 # what a test does not match is not its point
@@ -319,6 +321,39 @@ def test_a_camera_of_other_images_is_told_before_its_view_and_lens(what):
     with pytest.raises(DatasetError, match=match) as caught:
         camera_of("a file", pixels, SIZE, lens, notes=[])
     assert not re.search("field of view|fisheye", str(caught.value))
+
+
+# ---- what stands in the place of a data set or of its files
+
+
+@pytest.mark.parametrize("layout", WRITERS)
+def test_pointers_of_git_lfs_are_named(tmp_path, layout):
+    folder = WRITERS[layout](tmp_path)
+    read_recording(folder, layout).image_paths[0].write_bytes(LFS_POINTER)
+    with pytest.warns(DatasetWarning, match="is a pointer of Git LFS, not the file; fetch it by 'git lfs pull'"):
+        recording = read_recording(folder, layout)
+    for path in recording.image_paths:
+        path.write_bytes(LFS_POINTER)
+    with pytest.raises(DatasetError, match="is a pointer of Git LFS"):
+        read_recording(folder, layout)
+
+
+def test_archives_that_were_not_unpacked_are_named(tmp_path):
+    folder = WRITERS[Layout.SEVENSCENES](tmp_path / "scene")
+    for kind, found in (("zip", "zip"), ("gztar", "gzip")):
+        archive = shutil.make_archive(str(tmp_path / "scene"), kind, folder)
+        with pytest.raises(DatasetError, match=rf"scene\.\S+: is an archive \({found}\); unpack it, and"):
+            read_recording(archive)
+    shutil.rmtree(folder / "seq-01")
+    shutil.make_archive(str(folder / "seq-01"), "zip", tmp_path)
+    with pytest.raises(DatasetError, match=r"scene: holds 1 archive, such as seq-01\.zip; unpack them there"):
+        read_recording(folder)
+
+
+def test_the_folder_in_a_folder_is_named(tmp_path):
+    WRITERS[Layout.SEVENSCENES](tmp_path / "outer" / "scene")
+    with pytest.raises(DatasetError, match="outer: is not in a layout that is read, and its folder scene is; name"):
+        read_recording(tmp_path / "outer")
 
 
 # ---- what does no harm

@@ -13,6 +13,7 @@ from conformodal.features.export import make_detector
 from conformodal.features.extract import FeatureCache
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.store import ModelFileError, _digest, load_model, save_model
+from tests.helpers import LFS_POINTER
 from tests.small_model import CAMERA, image, small_model
 
 
@@ -151,6 +152,11 @@ SPOILT = {
     "a bit of the weights": (lambda f: flip_a_bit(file_of(f, "weights")), r"weights-.*digest differs"),
     "a bit of the network": (lambda f: flip_a_bit(file_of(f, "network")), r"network-.*digest differs"),
     "alpha": (edit_json(lambda r: r["calibration"].update(alpha="0.5")), r"model\.json.*altered"),
+    "a newer format": (edit_json(lambda r: r.update(format="conformodal-model-99999")), "update conformodal"),
+    "weights that are a pointer of Git LFS": (
+        lambda f: file_of(f, "weights").write_bytes(LFS_POINTER),
+        r"weights-.*pointer of Git LFS.*git lfs pull",
+    ),
     "an older format": (edit_json(lambda r: r.update(format="conformodal-model-19")), "Train the model again"),
     "half of the JSON": (lambda f: (f / "model.json").write_text("{"), r"model\.json"),
     "a list": (lambda f: (f / "model.json").write_text("[]"), r"model\.json.*list"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -11,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from conformodal.core.files import default_cache_dir
+from conformodal.core.files import default_cache_dir, usable_cache_dir
 from conformodal.core.words import counted
 from conformodal.geometry import PinholeCamera, Trajectory
 from conformodal.geometry.metrics import MAX_GAP_S
@@ -41,10 +42,20 @@ Camera = Annotated[Path | None, typer.Option(help="camera-intrinsics.txt (3x3), 
 Cache = Annotated[Path | None, typer.Option(help="Cache folder (default: the user's).", rich_help_panel=OUTPUT_PANEL)]
 
 
-def cache_folder(cache: Path | None) -> Path:
-    """The cache folder that a user named, or the usual one; it can be written."""
-    folder = cache or default_cache_dir()
-    check_writable(folder)
+def cache_folder(cache: Path | None) -> Path | None:
+    """The cache folder that a user named, or the usual one, which can be written; else a temporary one, or none."""
+    if cache is not None or "CONFORMODAL_CACHE" in os.environ:
+        folder = cache or default_cache_dir()
+        check_writable(folder)
+        return folder
+    usual = default_cache_dir()
+    try:
+        folder = usable_cache_dir()
+    except OSError:
+        report_line(f"{usual}: cannot be written, and nothing is cached; --cache FOLDER names a folder")
+        return None
+    if folder != usual:
+        report_line(f"{usual}: cannot be written; {folder} is used until the end, and --cache FOLDER keeps what it has")
     return folder
 
 

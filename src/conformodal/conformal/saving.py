@@ -15,7 +15,8 @@ import sklearn
 
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
-from conformodal.core.files import read_file, replacing
+from conformodal.core.files import foreign_kind, read_file, replacing
+from conformodal.core.words import describe_format
 
 from .checks import brief
 
@@ -75,12 +76,16 @@ def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:
     with require_extra("save", "loading a regressor"):
         import skops.io  # noqa: PLC0415
     try:
-        content = _unpacked(read_file(path))
+        content = read_file(path)
+        content = _unpacked(content)
         types = skops.io.get_untrusted_types(data=content)
     except OSError as exc:
         raise ConformodalError(f"{path}: cannot be read: {exc.strerror}") from None
     except Exception as exc:  # whatever a damaged file leads to
-        raise ConformodalError(f"{path}: is not a saved regressor: {type(exc).__name__}: {brief(exc, 200)}") from exc
+        what = f"{type(exc).__name__}: {brief(exc, 200)}"
+        if isinstance(exc, KeyError) and "schema.json" in str(exc):  # an archive of something else
+            what = foreign_kind(content) or what
+        raise ConformodalError(f"{path}: is not a saved regressor: {what}") from exc
     unknown = [name for name in types if not name.startswith(_PACKAGE) and name not in (*_FOREIGN, *trusted)]
     if unknown:
         raise ConformodalError(f"{path}: holds the types {', '.join(unknown)}; if you trust them: load(trusted=[...])")
@@ -88,9 +93,9 @@ def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:
         record = skops.io.loads(content, trusted=types)
         regressor, version = record["regressor"], record["scikit-learn"]
         if record["format"] != _FORMAT:
-            raise ValueError(f"got {brief(record['format'])}, fit and save it again")
+            raise ValueError(describe_format(record["format"], _FORMAT, "fit and save it again"))
     except Exception as exc:  # whatever a damaged file leads to
-        raise ConformodalError(f"{path}: is not a complete {_FORMAT}: {type(exc).__name__}: {brief(exc)}") from exc
+        raise ConformodalError(f"{path}: is not a complete {_FORMAT}: {type(exc).__name__}: {brief(exc, 300)}") from exc
     if version != sklearn.__version__:
         versions = f"saved with scikit-learn {version}, loaded with {sklearn.__version__}"
         warnings.warn(f"{path}: {versions}: check its predictions", stacklevel=3)

@@ -2,30 +2,81 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import os
+import shutil
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 PART = ".conformodal-part"  # ends the names of files that are not finished
+_POINTER = b"version https://git-lfs.github.com/spec/"
+_ARCHIVES = {b"PK\x03\x04": "zip", b"\x1f\x8b": "gzip", b"BZh": "bzip2", b"\xfd7zXZ\0": "xz", b"7z\xbc\xaf": "7z"}
+_ARCHIVES |= {b"Rar!": "rar", b"\x28\xb5\x2f\xfd": "zstd"}
 
 
 def default_cache_dir() -> Path:
     """The cache folder: ``$CONFORMODAL_CACHE``, or ``conformodal`` under the user's cache directory."""
     if "CONFORMODAL_CACHE" in os.environ:
         return Path(os.environ["CONFORMODAL_CACHE"])
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "conformodal"
+    home = Path(os.path.expanduser("~"))
+    home = home if home.is_absolute() else Path("/nonexistent")  # of a user that the system does not know
+    return Path(os.environ.get("XDG_CACHE_HOME", home / ".cache")) / "conformodal"
+
+
+def usable_cache_dir() -> Path:
+    """The cache folder, created; a temporary one until the process ends where the user's cannot be written.
+
+    Raises
+    ------
+    OSError
+        If ``$CONFORMODAL_CACHE`` names a folder that cannot be written, or there is no temporary one.
+    """
+    folder = default_cache_dir()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError:
+        if "CONFORMODAL_CACHE" in os.environ:
+            raise
+    folder = Path(tempfile.mkdtemp(prefix="conformodal-cache-"))
+    owner = os.getpid()  # workers share it
+    atexit.register(lambda: shutil.rmtree(folder, ignore_errors=True) if os.getpid() == owner else None)
+    os.environ["CONFORMODAL_CACHE"] = str(folder)
+    return folder
+
+
+def foreign_kind(content: bytes) -> str:
+    """What stands in the place of a file: a pointer of Git LFS, or an archive; nothing for other content."""
+    if content.startswith(_POINTER) and len(content) < 1024:
+        return "is a pointer of Git LFS, not the file; fetch it by 'git lfs pull'"
+    kind = next((name for mark, name in _ARCHIVES.items() if content.startswith(mark)), "")
+    return f"is an archive ({kind}); unpack it, and archives in it" if kind else ""
+
+
+def kind_of_file(path: Path) -> str:
+    """As :func:`foreign_kind`, of the content of a file; nothing for what is not one."""
+    with suppress(OSError, ValueError):
+        if os.path.isfile(path):
+            with path.open("rb") as file:
+                return foreign_kind(file.read(1024))
+    return ""
 
 
 def read_file(path: Path | str) -> bytes:
-    """The content of a file; an OSError for a pipe, which would be waited for, a device or a folder."""
+    """The content of a file; an OSError for a pipe, which would be waited for, a device, a folder, a pointer of LFS."""
     if not os.path.exists(path):
         raise FileNotFoundError(errno.ENOENT, "no such file")
     if not os.path.isfile(path):
         raise OSError(errno.EINVAL, "is not a regular file")
-    return Path(path).read_bytes()
+    content = Path(path).read_bytes()
+    if content.startswith(_POINTER):
+        raise OSError(errno.EINVAL, foreign_kind(content) or "begins as a pointer of Git LFS")
+    return content
 
 
 def write_whole(path: Path, content: bytes | str) -> None:

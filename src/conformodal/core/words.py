@@ -39,3 +39,13 @@ def as_utf8(text: str) -> str:
 def finite_or_none(value: float) -> float | None:
     """The number; None where it is infinite or NaN, which JSON does not have."""
     return float(value) if math.isfinite(value) else None
+
+
+def describe_format(stated: object, expected: str, again: str) -> str:
+    """What to do about a file in another format than is read, ``NAME-NUMBER``: of a newer version, or `again` it."""
+    kind, _, number = expected.rpartition("-")
+    name, _, other = str(stated).rpartition("-")
+    if name == kind and other.isdecimal() and len(other) < 10 and int(other) > int(number):
+        what = "it was saved by a newer version; update conformodal (pip install --upgrade conformodal)"
+        return f"holds format {stated!r}, and this version reads {expected!r}: {what}"
+    return f"holds format {str(stated)[:80]!r}, expected {expected!r}. {again}"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from conformodal.core.files import default_cache_dir, read_file, write_whole
+from conformodal.core.files import default_cache_dir, read_file, usable_cache_dir, write_whole
 from conformodal.core.words import counted
 from conformodal.geometry import PinholeCamera, PoseError
 from conformodal.geometry.lens import filled_share, view_as
@@ -110,14 +110,17 @@ def undistort_to(
     for camera, count in Counter(cameras).items():
         if camera != target:
             notes.append(Note(OTHER_CAMERA, f"{counted(count, 'image')} of {describe_change(camera, target)}"))
+    try:
+        place = usable_cache_dir() / "undistorted"
+    except OSError as exc:
+        raise DatasetError(f"{default_cache_dir()}: cannot be written: {exc.strerror}; set CONFORMODAL_CACHE") from exc
     with ThreadPoolExecutor(max_workers=2) as pool:
-        return list(pool.map(lambda image, camera: _undistorted(image, camera, target), images, cameras))
+        return list(pool.map(lambda image, camera: _undistorted(image, camera, target, place), images, cameras))
 
 
-def _undistorted(image: Path, camera: PinholeCamera, target: PinholeCamera) -> Path:
+def _undistorted(image: Path, camera: PinholeCamera, target: PinholeCamera, place: Path) -> Path:
     if camera == target:
         return image
-    place = default_cache_dir() / "undistorted"
     try:
         content = read_file(image)
         digest = hashlib.sha256(f"{camera} {target} ".encode() + content).hexdigest()

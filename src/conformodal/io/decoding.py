@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from conformodal.core.arrays import Float32Array, UInt8Array, evenly_spread
+from conformodal.core.files import foreign_kind, kind_of_file
 
 from .errors import DatasetError, ImageError
 
@@ -135,7 +136,9 @@ def _opened(source: Path | bytes, name: str) -> Image.Image:
         image = Image.open(io.BytesIO(source) if isinstance(source, bytes) else source, formats=_FORMATS)
         fault = _fault(image)
     except UnidentifiedImageError as exc:
-        raise ImageError(f"{name}: cannot be decoded as an image: it is none of {', '.join(_FORMATS)}") from exc
+        kind = kind_of_file(source) if isinstance(source, Path) else foreign_kind(source)
+        what = kind or f"cannot be decoded as an image: it is none of {', '.join(_FORMATS)}"
+        raise ImageError(f"{name}: {what}") from exc
     except Exception as exc:  # as above
         raise ImageError(f"{name}: cannot be decoded as an image: {exc}") from exc
     if fault:

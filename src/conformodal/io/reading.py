@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
-from conformodal.core.files import read_file
+from conformodal.core.files import foreign_kind, read_file
 
 from .errors import DatasetError
 
@@ -75,7 +75,12 @@ def numbers_in(line: str, count: int | None = None) -> list[float]:
 def read_lines(path: Path) -> list[str]:
     """Lines of a text file in UTF-8, with the line ends of any system, without blank ones at the end."""
     try:
-        return read_file(path).decode("utf-8-sig").rstrip().splitlines()
+        content = read_file(path)
+        if kind := foreign_kind(content):
+            raise DatasetError(f"{path}: {kind}")
+        return content.decode("utf-8-sig").rstrip().splitlines()
+    except DatasetError:
+        raise
     except (OSError, ValueError) as exc:
         raise DatasetError(f"{path}: cannot be read: {getattr(exc, 'strerror', None) or exc}") from exc
 

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from enum import StrEnum
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import NamedTuple
 
-from conformodal.core.words import as_utf8
+from conformodal.core.files import kind_of_file
+from conformodal.core.words import as_utf8, counted
 from conformodal.geometry import PoseError
 from conformodal.io.layouts.colmap import model_folders, read_colmap
 from conformodal.io.layouts.euroc import looks_like_euroc, read_euroc_mav
@@ -32,6 +34,7 @@ from .recording import Recording
 
 ENTRY_POINTS = "conformodal.layouts"
 _MADE = "; a recording becomes one by 'conformodal data convert {} --poses POSES --out FOLDER'"
+_MAX_ENTRIES = 200  # that are looked at for a hint
 _LAST_RESORT = "images"  # some other layouts have images and intrinsics in one folder too
 
 
@@ -104,13 +107,30 @@ def recognise(folder: Path) -> str:
         what = f"could be {' or '.join(names)}; name its format"
     elif (folder / "metadata.yaml").is_file():
         what = f"looks like a ROS recording, expected a data set{_MADE.format(folder)}"
+    elif archives := [path for path in _entries(folder) if kind_of_file(path).startswith("is an archive")]:
+        what = f"holds {counted(len(archives), 'archive')}, such as {archives[0].name}; unpack them there"
+    elif inside := [path.name for path in _entries(folder) if path.is_dir() and _is_recognised(path)]:
+        what = f"is not in a layout that is read, and its folder {inside[0]} is; name that one"
     raise DatasetError(as_utf8(f"{folder}: {what}"))
+
+
+def _entries(folder: Path) -> list[Path]:
+    """The first of what a folder holds."""
+    return sorted(folder.iterdir())[:_MAX_ENTRIES]
+
+
+def _is_recognised(folder: Path) -> bool:
+    with suppress(OSError):
+        return any(reader.recognises(folder) for name, reader in readers().items() if name != _LAST_RESORT)
+    return False
 
 
 def _check_folder(folder: Path) -> None:
     if not os.path.isdir(folder):
         is_file = os.path.isfile(folder)
         what = f"is a file, expected a data set's folder{_MADE.format(folder)}" if is_file else "no such file or folder"
+        if kind := kind_of_file(folder):
+            what = f"{kind}; expected a data set's folder"
         raise DatasetError(as_utf8(f"{folder}: {what}"))
 
 

@@ -25,10 +25,10 @@ from conformodal.conformal import ConformodalError, NoveltyTest, QuantileBins, S
 from conformodal.conformal.calibrators.base import Joint
 from conformodal.core.arrays import AnyArray
 from conformodal.core.extras import MissingPackageError
-from conformodal.core.files import read_file, write_whole
+from conformodal.core.files import kind_of_file, read_file, write_whole
 from conformodal.core.ranges import RANGES, Range
 from conformodal.core.schema import ArraySpec, ListOf, check_arrays, check_json
-from conformodal.core.words import finite_or_none
+from conformodal.core.words import describe_format, finite_or_none
 from conformodal.features.backbone import Backbone, BackboneConfig
 from conformodal.features.local import DETECTORS, Detector, QualityRange
 from conformodal.geometry import PinholeCamera
@@ -232,12 +232,14 @@ def _read_record(path: Path) -> dict[str, Any]:
     try:
         record = json.loads(read_file(path))
     except OSError as exc:
-        raise ModelFileError(f"{path}: no saved model there: {exc.strerror}") from exc
+        kind = kind_of_file(path.parent)
+        what = f"{path.parent}: {kind}" if kind else f"{path}: no saved model there: {exc.strerror}"
+        raise ModelFileError(what) from exc
     except (ValueError, RecursionError) as exc:
         raise ModelFileError(f"{path}: is not JSON: {exc}") from exc
     stated = record.get("format") if isinstance(record, dict) else type(record).__name__
     if stated != FORMAT:
-        raise ModelFileError(f"{path}: holds format {stated!r}, expected {FORMAT!r}. Train the model again")
+        raise ModelFileError(f"{path}: {describe_format(stated, FORMAT, 'Train the model again')}")
     if record.pop("sha256", None) != _digest(record):
         raise ModelFileError(f"{path}: was altered since it was saved: its digest differs")
     return dict(record)

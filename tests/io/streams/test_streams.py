@@ -1,6 +1,8 @@
+import struct
 import time
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from types import SimpleNamespace
 
 import cv2
@@ -9,6 +11,7 @@ import pytest
 
 from conformodal.geometry import PinholeCamera
 from conformodal.io import DatasetError, DatasetWarning, read_recording
+from conformodal.io.diagnosis.recordings import describe_unopened
 from conformodal.io.streams import Frame, RecordingStream, SourceError, open_stream, prefetch
 from conformodal.io.streams.bag import BagStream
 from conformodal.io.streams.ros_messages import COMPRESSED, RAW, camera_of_info, image_of
@@ -480,6 +483,29 @@ def cut_off(root):
     (root / "a.mcap").write_bytes(path.read_bytes()[:-200])
 
 
+def mcap(root, *, profile="", encoding="json", schema="foxglove.CompressedImage", chunked=False, summary=False):
+    """An MCAP file with a channel and no message, written after its specification."""
+
+    def text(value):
+        return struct.pack("<I", len(value)) + value.encode()
+
+    def record(code, content):
+        return bytes([code]) + struct.pack("<Q", len(content)) + content
+
+    magic, header = b"\x89MCAP0\r\n", record(1, text(profile) + text("app"))
+    described = record(3, struct.pack("<H", 1) + text(schema) + text("jsonschema") + text("{}"))
+    described += record(4, struct.pack("<HH", 1, 1) + text("/camera") + text(encoding) + struct.pack("<I", 0))
+    inside = described + record(5, bytes(22) + b"{}")
+    if chunked:
+        inside = record(6, bytes(28) + text("" if not summary else "zstd") + struct.pack("<Q", len(inside)) + inside)
+    data = magic + header + inside + record(15, bytes(4))
+    footer = record(2, struct.pack("<QQI", len(data) if summary else 0, 0, 0))
+    (root / "a.mcap").write_bytes(data + (described if summary else b"") + footer + magic)
+
+
+FOXGLOVE = r"not of ROS: foxglove.CompressedImage as json on /camera; record them as ROS messages"
+
+
 def put(content):
     return lambda root: (root / "a").write_bytes(content)
 
@@ -496,6 +522,18 @@ REFUSED = {  # what is written, what is opened, how, and what is told
     "a video of another camera": (lambda root: video(root / "a.avi"), "a.avi", {"camera": SMALL}, "64x48"),
     "a packed bag": (lambda root: (root / "a.db3.zstd").write_bytes(b"x"), "a.db3.zstd", {}, "unpack it"),
     "a bag that was not closed": (cut_off, "a.mcap", {}, "mcap recover"),
+    "Foxglove's messages": (mcap, "a.mcap", {}, FOXGLOVE),
+    "Foxglove's messages in a chunk": (partial(mcap, chunked=True), "a.mcap", {}, FOXGLOVE),
+    "Foxglove's messages in packed chunks": (partial(mcap, chunked=True, summary=True), "a.mcap", {}, FOXGLOVE),
+    "protobuf": (partial(mcap, encoding="protobuf"), "a.mcap", {}, "foxglove.CompressedImage as protobuf on /camera"),
+    "messages of ROS without its profile": (
+        partial(mcap, encoding="cdr", schema="sensor_msgs/msg/Image"),
+        "a.mcap",
+        {},
+        "are of ROS, and its profile is ''; 'ros2 bag convert' writes it anew",
+    ),
+    "text for a bag": (lambda root: (root / "a.bag").write_bytes(b"<html>"), "a.bag", {}, "begins with b'<html>'"),
+    "an archive of bags": (lambda root: (root / "a.mcap").write_bytes(b"PK\3\4..."), "a.mcap", {}, "is an archive"),
     "a bag without images": (put_bag(topic=None, others=IMU), "a", {}, "its topics are /imu"),
     "an encoding": (put_bag(image_options={"encoding": "jpeg2000"}), "a", {}, "encoding jpeg2000"),
     "a film": (put_bag(image_options={"compressed": True, "form": "h264"}), "a", {}, "h264"),
@@ -510,3 +548,14 @@ def test_what_cannot_be_opened_is_named(tmp_path, monkeypatch, what):
     with pytest.raises(SourceError, match=told) as error:
         list(open_stream(source, **options))
     assert source in str(error.value)
+
+
+def test_a_damaged_mcap_is_read_as_far_as_it_goes(tmp_path):
+    mcap(tmp_path, chunked=True, summary=True)
+    whole, rng = (tmp_path / "a.mcap").read_bytes(), np.random.default_rng(0)
+    for _ in range(300):
+        content = bytearray(whole)
+        for at in rng.integers(8, len(whole), 3).tolist():
+            content[at] = int(rng.choice([0, 1, 8, 127, 255]))
+        (tmp_path / "a.mcap").write_bytes(content[: rng.integers(9, len(whole) + 1)])
+        assert isinstance(describe_unopened(tmp_path / "a.mcap"), str)

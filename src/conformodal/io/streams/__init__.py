@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from conformodal.core.files import kind_of_file
 from conformodal.geometry import PinholeCamera
 from conformodal.io.registry import Layout, read_recording
 
@@ -43,6 +44,8 @@ def open_stream(
     path = Path(source)
     if match := _CAMERA.match(str(source)):
         return CameraStream(int(match[1]), camera)
+    if kind := kind_of_file(path):
+        raise SourceError(f"{path}: {kind}")
     if layout == Layout.AUTO and is_bag(path):
         return open_bag(path, topic, camera)
     if layout == Layout.AUTO and path.is_file():

@@ -10,6 +10,7 @@ from typing import Any
 
 from conformodal.core.extras import require_extra
 from conformodal.geometry import PinholeCamera
+from conformodal.io.diagnosis.recordings import describe_unopened
 from conformodal.io.errors import DatasetError
 from conformodal.io.reading import Note
 
@@ -17,7 +18,6 @@ from .frames import Frame, SourceError, check_size
 from .ros_messages import COMPRESSED, INFO, RAW, camera_of_info, image_of, is_calibrated, key_of_info, stamp_s
 
 SUFFIXES = (".bag", ".mcap", ".db3", ".bag.active")
-_REPAIR = "; if it was never closed, repair it with 'mcap recover IN -o OUT', or 'rosbag reindex' under the name .bag"
 
 
 def is_bag(path: Path) -> bool:
@@ -149,6 +149,7 @@ def bag_reader(path: Path) -> Iterator[Any]:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
     except Exception as exc:  # damaged bytes lead it to any error
-        raise SourceError(f"{path}: cannot be opened as a ROS recording: {exc}{_REPAIR}") from exc
+        what = f"cannot be opened as a ROS recording: {str(exc).rstrip('.')}{describe_unopened(path)}"
+        raise SourceError(f"{path}: {what}") from exc
     with closing(reader):
         yield reader
