@@ -11,9 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Trajectory, poses_at
 from conformodal.io import Recording, read_image, read_recording
+from conformodal.io.check import check_recording
 from conformodal.io.diagnosis import axes, images
+from conformodal.io.diagnosis.cameras import UNLIKELY_CAMERA, doubt_camera
 from conformodal.io.diagnosis.images import diagnose_poses
+from conformodal.io.diagnosis.order import diagnose
 from conformodal.io.layouts.nerf import OPENGL_AXES
+from conformodal.io.reading import Note
 
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.io.DatasetWarning")
 _match_pairs = images._match_pairs
@@ -191,3 +195,17 @@ def test_poses_of_other_images_are_told_without_blame(real_data):
     truth = recording.require_truth()
     backwards = Trajectory(truth.timestamps_s, truth.positions_xyz[::-1], truth.orientations_quat_wxyz[::-1])
     assert "belong to other images" in diagnose_poses(replace(recording, poses=backwards)).what
+
+
+def test_an_unlikely_camera_explains_poses_that_do_not_fit(real_data):
+    recording = read_recording(real_data("tum", "fr1_desk"))
+    camera = recording.camera
+    half = replace(camera, fx=camera.fx / 2, fy=camera.fy / 2, cx=camera.cx / 2, cy=camera.cy / 2, distortion=())
+    doubt = doubt_camera(half).unlikely[0]
+    given = replace(recording, camera=half, notes=(Note(UNLIKELY_CAMERA, f"K.txt: {doubt}"),))
+    cause = diagnose(given)
+    assert cause.what == f"the camera is unlikely: K.txt: {doubt}"
+    assert "epipolar" in cause.evidence
+    findings = [finding.what for finding in check_recording(given).findings if finding.wrong]
+    assert findings == [UNLIKELY_CAMERA]  # one cause
+    assert diagnose(replace(given, camera=camera)) is None

@@ -8,7 +8,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Trajectory
-from conformodal.io.diagnosis.trajectories import doubt_clock, doubt_truth
+from conformodal.io.diagnosis.axes import describe_axes, parse_axes
+from conformodal.io.diagnosis.clocks import doubt_clock
+from conformodal.io.diagnosis.trajectories import doubt_truth
 
 RATE_HZ, N = 10, 600
 MOUNT = Rotation.from_euler("xyz", [-90, 0, 90], degrees=True)
@@ -80,6 +82,26 @@ def test_the_cause_of_a_wrong_truth_is_told(estimate, truth, changed, told):
     doubts = doubt_truth(estimate, changed(truth))
     assert any(told in reason for reason in doubts.reasons)
     assert not doubts.positions_only
+
+
+@pytest.mark.parametrize("name", ["forward-left-up", "forward-right-down", "right-up-back", "down-left-forward"])
+def test_the_axes_of_another_body_are_named(estimate, truth, name):
+    body = Rotation.from_matrix(parse_axes(name))
+    assert f"as of {describe_axes(parse_axes(name))}" in doubt_truth(estimate, turned(truth, right=body)).reasons[0]
+
+
+def test_poses_of_a_truth_that_repeat_while_the_estimate_moves_are_told(estimate, truth):
+    rows = np.arange(N)
+    rows[100:120], rows[300:303], rows[400:402] = 100, 300, 400
+    held = replace(
+        truth, positions_xyz=truth.positions_xyz[rows], orientations_quat_wxyz=truth.orientations_quat_wxyz[rows]
+    )
+    told = [reason for reason in doubt_truth(estimate, held).reasons if "repeat the one before" in reason]
+    assert len(told) == 1
+    assert "it: 21 of 600 poses (4 %)" in told[0]  # a single repeat is none
+    assert "2 stretches: 1.9 s from 10.000, 0.2 s from 30.000" in told[0]
+    still = replace(estimate[rows], timestamps_s=truth.timestamps_s)  # rests as well
+    assert not any("repeat" in reason for reason in doubt_truth(still, held).reasons)
 
 
 @pytest.mark.parametrize("shift_s", [18.0, -1.0, 37.3])

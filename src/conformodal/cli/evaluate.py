@@ -16,9 +16,10 @@ from conformodal.core.arrays import FloatArray
 from conformodal.core.files import write_whole
 from conformodal.core.words import counted, noun_for
 from conformodal.geometry import Alignment, Trajectory, align, poses_at, relative_errors
-from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, orientation_errors_deg, position_errors_m, straightness
+from conformodal.geometry.metrics import MAX_GAP_S, orientation_errors_deg, position_errors_m, straightness
 from conformodal.io import Layout
-from conformodal.io.diagnosis.trajectories import doubt_clock, doubt_truth
+from conformodal.io.diagnosis.clocks import clock_hint, doubt_clock
+from conformodal.io.diagnosis.trajectories import doubt_truth
 from conformodal.io.folders import writing_in
 from conformodal.localizer.candidates import TARGET_NAMES
 from conformodal.pipeline.config import OdometryError

@@ -18,7 +18,7 @@ from conformodal.geometry import PinholeCamera, Trajectory
 from conformodal.geometry.metrics import MAX_GAP_S
 from conformodal.io import DatasetError, DatasetWarning, Layout, Recording, read_recording, recognise
 from conformodal.io.cameras import camera_beside, uncalibrated_camera
-from conformodal.io.diagnosis.images import diagnose_poses
+from conformodal.io.diagnosis.order import diagnose
 from conformodal.io.folders import check_writable
 from conformodal.io.pose_files import read_tum
 from conformodal.io.reading import Note, by_what
@@ -100,7 +100,7 @@ def open_sequences(
     every = [*paths, *([] if test is None else [test])]
     parts = [open_sequence(path, layout, require_poses=True, **options) for path in every]
     for part in parts:
-        if cause := diagnose_poses(part):
+        if cause := diagnose(part):
             what = f"{part.name}: poses do not fit the images: {cause}"
             if not trust_poses:
                 raise DatasetError(f"{what}; --trust-poses trains all the same")

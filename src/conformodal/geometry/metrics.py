@@ -18,9 +18,6 @@ MAX_GAP_S = 0.15
 _SAME_S = 1e-3  # a pose as near in time is taken as it is
 # Of the spread along a path, and of the residuals: less across it leaves its roll open.
 _STRAIGHT, _RESIDUALS = 0.02, 3.0
-_SINCE_1970_S = 1e8
-_UNITS = {"nanoseconds": 1e9, "microseconds": 1e6, "milliseconds": 1e3}
-_NO_SECONDS = 1e11  # the year five thousand
 
 
 def position_errors_m(estimate: Trajectory, truth: Trajectory) -> FloatArray:
@@ -47,36 +44,6 @@ def trajectory_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, floa
         "median_m": float(np.median(metres)),
         "median_deg": float(np.median(degrees)),
     }
-
-
-def in_seconds(times: FloatArray) -> tuple[FloatArray, str]:
-    """Times in seconds; and their unit, if they are too large for seconds, else nothing.
-
-    Those since 1970 show it by their size, those of another clock by their steps, of 0.1 to 1000 per second.
-    """
-    finite = np.unique(times[np.isfinite(times)])
-    size = float(np.median(np.abs(finite))) if finite.size else 0.0
-    if size < _NO_SECONDS:
-        return times, ""
-    step = float(np.median(np.diff(finite))) if finite.size > 1 else 0.0
-    for unit, per_second in _UNITS.items():
-        if 0.5 < size / (1e9 * per_second) < 5 and step < 10 * per_second:  # 1985 to 2128
-            return times / per_second, unit
-    unit = next((unit for unit, per_second in _UNITS.items() if step >= per_second / 1000), "milliseconds")
-    return times / _UNITS[unit], unit
-
-
-def clock_hint(times_s: FloatArray, others_s: FloatArray) -> str:
-    """Why two sets of times do not meet, where their size shows it; else nothing."""
-    sizes = [float(np.median(t)) for t in (times_s, others_s)]
-    spans = sorted((float(np.ptp(times_s)), float(np.ptp(others_s))))
-    for unit, per_second in _UNITS.items():
-        if 0 < spans[0] * per_second / 3 < spans[1] < 3 * spans[0] * per_second:
-            return f"; one covers {spans[1]:.4g}, the other {spans[0]:.4g}: looks like {unit}, expected seconds"
-    if times_s.max() < others_s.min() or others_s.max() < times_s.min():
-        counts = "; one counts from 1970" if max(sizes) > _SINCE_1970_S > min(sizes) else ""
-        return f"; the clocks are {abs(sizes[0] - sizes[1]):.6g} s apart{counts}: shift the poses by --time-offset"
-    return ""
 
 
 class InterpolatedPoses(NamedTuple):

@@ -17,7 +17,7 @@ from conformodal.geometry import PinholeCamera, PoseError
 from conformodal.geometry.lens import filled_share, view_as
 
 from .decoding import decode, image_fault
-from .diagnosis.cameras import check_matrix, doubt_camera
+from .diagnosis.cameras import UNLIKELY_CAMERA, check_matrix, doubt_camera
 from .errors import DatasetError, ImageError
 from .reading import Note, read_numbers
 
@@ -61,7 +61,7 @@ def camera_of(
     doubts = doubt_camera(camera)
     if doubts.impossible:
         raise DatasetError(f"{source}: {doubts.impossible}")
-    notes += [Note("camera is unlikely", f"{source}: {doubt}") for doubt in doubts.unlikely]
+    notes += [Note(UNLIKELY_CAMERA, f"{source}: {doubt}") for doubt in doubts.unlikely]
     return camera
 
 

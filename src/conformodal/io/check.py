@@ -12,7 +12,8 @@ from conformodal.core.progress import Progress
 
 from .cameras import OF_LAYOUT, OTHER_CAMERA, SCALED
 from .decoding import TURNED
-from .diagnosis.images import diagnose_poses
+from .diagnosis.cameras import UNLIKELY_CAMERA
+from .diagnosis.order import diagnose
 from .errors import ImageError
 from .frame_table import CONVERTED, INTERPOLATED, OWN_SCALE
 from .reading import by_what
@@ -77,7 +78,8 @@ def check_recording(sequence: Recording, progress: Progress | None = None) -> Da
         if speed.size:
             jumps = (speed > _JUMP * np.median(speed)) & (lengths > _LEAST_JUMP_M)
             add(f"position jumps, more than {_JUMP:g} times as fast as usual, before", (linked[jumps] + 1).tolist())
-    if sequence.poses is not None and (cause := diagnose_poses(sequence)):
+    told = any(note.what == UNLIKELY_CAMERA for note in sequence.notes)  # which explains poses that do not fit
+    if sequence.poses is not None and not told and (cause := diagnose(sequence)):
         findings.append(Finding("poses do not fit the images", 1, str(cause)))
     digests, problems = _decode_all(sequence, progress)
     if problems:

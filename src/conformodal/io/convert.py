@@ -11,7 +11,8 @@ import numpy as np
 from PIL import Image
 
 from conformodal.geometry import PinholeCamera, Trajectory, poses_at
-from conformodal.geometry.metrics import MAX_GAP_S, clock_hint
+from conformodal.geometry.metrics import MAX_GAP_S
+from conformodal.io.diagnosis.clocks import clock_hint
 from conformodal.io.streams.frames import Frame, FrameStream, RecordingStream
 
 from .cameras import DISTORTION, INTRINSICS

@@ -18,10 +18,11 @@ import numpy as np
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.words import as_utf8, counted
 from conformodal.geometry import PinholeCamera, Trajectory, poses_at
-from conformodal.geometry.metrics import MAX_GAP_S, clock_hint, in_seconds, nearest_in_time
+from conformodal.geometry.metrics import MAX_GAP_S, nearest_in_time
 
 from .cameras import uncalibrated_camera, undistort_to
 from .decoding import TURNED, common_size, image_fault, is_turned, refuse_few_bits
+from .diagnosis.clocks import clock_hint, doubt_rate, in_seconds
 from .diagnosis.stale import STALE_PICTURES, STALE_POSES, describe_stretches, stale_pictures, stale_poses
 from .errors import DatasetError, DatasetWarning
 from .pose_files import Faults, PoseRows, matrices_of, table_of
@@ -33,7 +34,7 @@ LEFT_OUT_STALE = "left out, repeats to the last bit"
 OWN_SCALE, METRES_PER_UNIT = "the scale is its own", "metres-per-unit.txt"
 INTERPOLATED, CONVERTED = "poses are interpolated", "times are converted to seconds"
 DOUBTFUL, _UNUSABLE = "poses are doubtful", "pose cannot be used"
-_USUAL_STEP_S, _FASTEST_MPS = (5e-4, 5.0), 150.0
+_FASTEST_MPS = 150.0
 _SAME_S = 1e-3
 
 
@@ -238,9 +239,8 @@ def _unlikely(recording: Recording) -> list[Note]:
     steps = np.diff(recording.timestamps_s)[np.diff(recording.recording) == 0]
     usual = float(np.median(steps)) if steps.size else 1.0
     notes = []
-    if not _USUAL_STEP_S[0] <= usual <= _USUAL_STEP_S[1]:
-        where = f"{recording.name}: frames are {usual:.3g} s apart; are their times in another unit than seconds?"
-        notes.append(Note("frame rate is unlikely", where))
+    if doubt := doubt_rate(usual):
+        notes.append(Note("frame rate is unlikely", f"{recording.name}: {doubt}"))
     if recording.poses is not None and len(recording.poses) > 1:
         lengths = np.linalg.norm(np.diff(recording.poses.positions_xyz, axis=0), axis=1)
         speed = float(np.median(lengths / np.diff(recording.poses.timestamps_s)))

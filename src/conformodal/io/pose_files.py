@@ -16,9 +16,9 @@ import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.geometry import PoseError, Trajectory
-from conformodal.geometry.metrics import in_seconds
 from conformodal.geometry.poses import rotation_faults
 
+from .diagnosis.clocks import in_seconds
 from .diagnosis.columns import has_decimal_commas, length_doubt, named_columns, quaternion_order, with_decimal_points
 from .errors import DatasetError
 from .reading import number, numbers_in, parse_lines, read_lines, tokens, whole_number

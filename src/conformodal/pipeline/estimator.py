@@ -20,6 +20,8 @@ from conformodal.features.local import extract_local_features
 from conformodal.geometry import PinholeCamera, RelativeMotion, Trajectory
 from conformodal.io import Recording
 from conformodal.io.decoding import grey_image
+from conformodal.io.diagnosis.clocks import doubt_steps
+from conformodal.io.diagnosis.streams import doubt_colours
 from conformodal.io.streams.frames import RecordingStream, prefetch
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.evidence import FrameEvidence
@@ -36,9 +38,7 @@ from .store import load_model
 from .stream import StreamRunner, as_trajectory
 
 _FIRST = 10  # frames of a stream whose times and colours are looked at
-_MUCH_LONGER = 300.0  # times as long a step is in another unit than seconds
 _ROUNDING = 1e-9  # of p-values, relative
-_SWAPPED = 0.2  # by how much the colours fit better with red and blue swapped
 
 
 class InputWatch:
@@ -54,13 +54,9 @@ class InputWatch:
         if len(self._steps) >= _FIRST:
             return
         self._steps.append(step_s)
-        usual = float(np.median(self._steps))
-        if len(self._steps) == _FIRST and usual > _MUCH_LONGER * self._expected.step_s:
+        if len(self._steps) == _FIRST and (doubt := doubt_steps(self._steps, self._expected.step_s)):
             self._steps.pop()  # so that the next step is looked at as well
-            raise OdometryError(
-                f"timestamps must be in seconds: the first {_FIRST} steps are usually {usual:.3g} long, those of the "
-                f"training data {self._expected.step_s:.3g} s; are they in milliseconds or nanoseconds?"
-            )
+            raise OdometryError(doubt)
 
     def check_colours(self, image: UInt8Array) -> None:
         """Warn, once, of images (h, w, 3) whose red and blue are swapped."""
@@ -69,15 +65,8 @@ class InputWatch:
         self._colours.append(colours_of(image))
         if len(self._colours) < _FIRST:
             return
-        mean, expected = np.mean(self._colours, axis=0), self._expected.colours
-        as_given, swapped = (float(np.minimum(colours, expected).sum()) for colours in (mean, mean[::-1]))
-        if swapped > as_given + _SWAPPED:
-            warnings.warn(
-                f"images seem to be BGR: their colours agree with those of the training data to "
-                f"{100 * as_given:.0f} %, with red and blue swapped to {100 * swapped:.0f} %; pass RGB",
-                UserWarning,
-                stacklevel=5,
-            )
+        if doubt := doubt_colours(np.mean(self._colours, axis=0), self._expected.colours):
+            warnings.warn(doubt, UserWarning, stacklevel=5)
 
 
 class Odometry(ABC):

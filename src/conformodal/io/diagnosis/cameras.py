@@ -12,6 +12,7 @@ from conformodal.core.arrays import FloatArray
 from conformodal.geometry import PinholeCamera
 from conformodal.io.errors import DatasetError
 
+UNLIKELY_CAMERA = "camera is unlikely"
 UNDISTORT = "undistort the images to a pinhole camera first (such as colmap image_undistorter), and give that camera"
 _CANNOT_DEG, _UNLIKELY_DEG = (0.1, 170.0), (3.0, 130.0)  # fields of view
 # By how much a principal point is beside the middle, as a share of the image's side: in any way; along the diagonal, as

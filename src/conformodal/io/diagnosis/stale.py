@@ -29,6 +29,7 @@ _LONGER, _OFTEN = 1.5, 0.25  # frames; share of all
 _MAX_TRIED, _MAX_NAMED = 24, 3
 _MOVED_PX = 2.0  # corners of images while poses stay
 _MOVED_M, _MOVED_SHARE, _MOVED_DEG = 0.005, 0.005, 0.2  # poses while pictures stay; share of the box of all positions
+_MOVED_ESTIMATE_M, _MOVED_ESTIMATE_DEG = 0.05, 2.0
 _BLOCK = 4096
 _GRID, _LEVELS, _CHANGED = 8, 3, 0.01  # every eighth pixel; grey levels; share of these that differ more
 
@@ -93,6 +94,12 @@ def stale_poses(
     step_s = float(np.median(np.diff(frames_s)))
     likely = _that_last(repeated_poses(rows, recording), times_s, step_s)
     return _confirmed(likely, lambda stretch: _images_move(times_s[list(stretch)], frames_s, images))
+
+
+def stale_truth(times_s: FloatArray, rows: FloatArray, estimate: FloatArray) -> list[Stretch]:
+    """Stretches of poses (n, 7) that repeat while those of an estimate, of these times, move by more than noise."""
+    likely = _that_last(repeated_poses(rows), times_s, float(np.median(np.diff(times_s))))
+    return [one for one in likely if poses_move(estimate[list(one)], _MOVED_ESTIMATE_M, _MOVED_ESTIMATE_DEG)]
 
 
 def stale_pictures(

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import spearmanr
 
 from conformodal.core.arrays import FloatArray
 from conformodal.geometry import Trajectory
 
+from .axes import describe_axes, signed_permutations
+from .stale import describe_stretches, stale_truth
+
 _SAME_DEG, _TURNS_DEG = 0.01, 5.0  # orientations that never change, while the camera turns
 _WRONG_DEG, _MENDED = 10.0, 1 / 3  # a median error that asks for a cause, and what is left of it with the right one
+_AXES_DEG = 5.0  # from a rotation to one of axes onto axes
 _UNITS = {"centimetres": 100.0, "millimetres": 1000.0}
-_MOST_SHIFT_S, _COARSE_S, _LEAST_STEPS, _LEAST_OVERLAP = 60.0, 0.1, 20, 0.5
-_CLEAR, _BETTER = 0.6, 0.2  # rank correlation of speeds at the right shift, and above that as given
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,30 @@ def doubt_truth(estimate: Trajectory, truth: Trajectory) -> TruthDoubts:
     if turns_deg[1].max() < _SAME_DEG and np.median(turns_deg[0]) > _TURNS_DEG:
         reason = f"its orientations are all the same, and the camera turns by {turns_deg[0].max():.0f} degrees"
         return TruthDoubts(True, (f"{reason}: it has none, and only positions are compared",))
-    reasons = (_doubt_orientations(*rotations), _doubt_body(rotations[0], estimate, truth))
-    return TruthDoubts(False, tuple(filter(None, reasons)))
+    doubts = (
+        _doubt_repeats(estimate, truth),
+        _doubt_orientations(*rotations),
+        _doubt_body(rotations[0], estimate, truth),
+    )
+    return TruthDoubts(False, tuple(filter(None, doubts)))
+
+
+def _doubt_repeats(estimate: Trajectory, truth: Trajectory) -> str:
+    """Whether poses of the truth repeat while the estimate moves."""
+    rows = [np.column_stack((path.positions_xyz, path.orientations_quat_wxyz)) for path in (estimate, truth)]
+    stretches = stale_truth(truth.timestamps_s, rows[1], rows[0])
+    if not stretches:
+        return ""
+    told = describe_stretches("it", "pose", stretches, truth.timestamps_s, len(truth))
+    return f"{told}, while the estimate moves; leave these out"
+
+
+def _axes_like(turns: Rotation) -> str:
+    """The axes that a constant rotation (from the camera's frame to the body's) leads to, if it is one of axes."""
+    columns = turns.mean().inv().as_matrix()
+    nearest = min(signed_permutations(proper=True), key=lambda axes: float(np.abs(axes - columns).max()))
+    apart_deg = np.degrees((Rotation.from_matrix(nearest) * turns.mean()).magnitude())
+    return f", as of {describe_axes(nearest)}" if apart_deg < _AXES_DEG else ""
 
 
 def _doubt_orientations(estimate: Rotation, truth: Rotation) -> str:
@@ -74,7 +97,8 @@ def _doubt_orientations(estimate: Rotation, truth: Rotation) -> str:
     turns, what = causes[where]
     return (
         f"its orientations differ by a constant rotation of {np.degrees(turns.mean().magnitude()):.0f} degrees in "
-        f"the frame of the {where}, {left[where]:.2g} degrees are left (median): {what}"
+        f"the frame of the {where}{_axes_like(turns) if where == 'camera' else ''}, {left[where]:.2g} degrees are left "
+        f"(median): {what}"
     )
 
 
@@ -98,46 +122,4 @@ def _doubt_body(turns: Rotation, estimate: Trajectory, truth: Trajectory) -> str
     return (
         f"it lies a constant {offset_m:.2g} m from the estimate, in the frame of the {where} ({left[where]:.1g} m are "
         f"left, median): it {cause}"
-    )
-
-
-def doubt_clock(estimate: Trajectory, truth: Trajectory) -> str:
-    """The shift in time under which two paths move alike, if as given they do not; else nothing.
-
-    Compares the ranks of the speeds from pose to pose of the estimate, so neither world nor scale must be the same.
-    """
-    times = estimate.timestamps_s
-    if len(times) <= _LEAST_STEPS or len(truth) <= _LEAST_STEPS:
-        return ""
-    steps = np.diff(times)
-    speeds = np.linalg.norm(np.diff(estimate.positions_xyz, axis=0), axis=1) / steps
-    order = np.argsort(truth.timestamps_s, kind="stable")
-    true_times, true_positions = truth.timestamps_s[order], truth.positions_xyz[order]
-    max_gap_s = 3 * max(float(np.median(steps)), float(np.median(np.diff(true_times))))
-
-    def correlation(shift_s: float) -> float:
-        at = times + shift_s
-        positions = np.column_stack([np.interp(at, true_times, column) for column in true_positions.T])
-        after = np.clip(np.searchsorted(true_times, at), 1, len(true_times) - 1)
-        inside = (at >= true_times[0]) & (at <= true_times[-1])
-        inside &= true_times[after] - true_times[after - 1] <= max_gap_s
-        true_speeds = np.linalg.norm(np.diff(positions, axis=0), axis=1) / steps
-        both = inside[1:] & inside[:-1]
-        if both.mean() < _LEAST_OVERLAP or not np.ptp(true_speeds[both]):
-            return -1.0
-        return float(spearmanr(speeds[both], true_speeds[both]).statistic)
-
-    given = correlation(0.0)
-    if given > 1 - _BETTER:
-        return ""
-    shifts = np.arange(-_MOST_SHIFT_S, _MOST_SHIFT_S, _COARSE_S)
-    nearest = float(shifts[np.argmax([correlation(shift) for shift in shifts])])
-    closer = nearest + np.linspace(-_COARSE_S, _COARSE_S, 21)
-    alike = [correlation(shift) for shift in closer]
-    best, most = float(closer[np.argmax(alike)]), max(alike)
-    if most < max(_CLEAR, given + _BETTER):
-        return ""
-    return (
-        f"its clock seems to be {abs(best):.3g} s {'ahead' if best > 0 else 'behind'}: the speeds of the two paths "
-        f"agree then (rank correlation {most:.2f}, as given {max(given, 0):.2f}); try --time-offset {-best:.3g}"
     )
