@@ -142,9 +142,12 @@ def test_pictures_that_are_held_while_poses_move_are_named_and_left_out(tmp_path
     assert invoke("data", "check", folder).exit_code == 1
 
 
-def test_a_single_repeat_that_lasts_is_named(tmp_path):
-    folder = write(tmp_path / "a", held((10, 11)), MOVING, times=np.arange(N) / 2)  # half a second
-    assert "0.5 s from 5.000" in told(read_recording(folder))[STALE_PICTURES]
+def test_a_single_repeat_that_lasts_is_named_and_a_gap(tmp_path):
+    folder = write(tmp_path / "a", held((10, 11)), MOVING, times=np.arange(N) / 10)
+    recording = read_recording(folder, require_poses=False)
+    assert "0.1 s from 1.000" in told(recording)[STALE_PICTURES]
+    frames = list(prefetch(RecordingStream(recording)))
+    assert [i for i, frame in enumerate(frames) if frame.image is None] == [11]
 
 
 def test_pictures_of_a_lower_rate_are_named(tmp_path):

@@ -14,6 +14,7 @@ from .cameras import OF_LAYOUT, OTHER_CAMERA, SCALED
 from .decoding import TURNED
 from .diagnosis.cameras import UNLIKELY_CAMERA
 from .diagnosis.order import diagnose
+from .diagnosis.stale import STALE_PICTURES
 from .errors import ImageError
 from .frame_table import CONVERTED, INTERPOLATED, OWN_SCALE
 from .reading import by_what
@@ -85,7 +86,8 @@ def check_recording(sequence: Recording, progress: Progress | None = None) -> Da
     if problems:
         findings.append(Finding("image cannot be read", len(problems), problems[0]))
     same = [i for i in (linked + 1).tolist() if digests[i] and digests[i] == digests[i - 1]]
-    add("the same picture as the frame before", same, wrong=False)
+    if not any(finding.what == STALE_PICTURES for finding in findings):
+        add("the same picture as the frame before", same, wrong=False)
     return DatasetCheck(
         n_frames=len(sequence),
         n_recordings=len(np.unique(sequence.recording)),

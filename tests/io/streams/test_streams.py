@@ -530,7 +530,7 @@ REFUSED = {  # what is written, what is opened, how, and what is told
         partial(mcap, encoding="cdr", schema="sensor_msgs/msg/Image"),
         "a.mcap",
         {},
-        "are of ROS, and its profile is ''; 'ros2 bag convert' writes it anew",
+        "its profile is '', expected ros1 or ros2; 'ros2 bag convert' writes it anew",
     ),
     "text for a bag": (lambda root: (root / "a.bag").write_bytes(b"<html>"), "a.bag", {}, "begins with b'<html>'"),
     "an archive of bags": (lambda root: (root / "a.mcap").write_bytes(b"PK\3\4..."), "a.mcap", {}, "is an archive"),

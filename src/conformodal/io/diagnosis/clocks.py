@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from conformodal.core.arrays import FloatArray
 from conformodal.geometry import Trajectory
@@ -72,6 +71,8 @@ def doubt_clock(estimate: Trajectory, truth: Trajectory) -> str:
 
     Compares the ranks of the speeds from pose to pose of the estimate, so neither world nor scale must be the same.
     """
+    from scipy.stats import spearmanr  # noqa: PLC0415 - it takes time to import, and no reader needs it
+
     times = estimate.timestamps_s
     if len(times) <= _MIN_STEPS or len(truth) <= _MIN_STEPS:
         return ""

@@ -60,9 +60,10 @@ def _of_mcap(content: McapContent) -> str:
             f"; its messages are not of ROS: {', '.join(shown[:_MAX_SHOWN])}{more}; record them as ROS messages "
             "(sensor_msgs/msg/CompressedImage, in cdr), or write the images and their times as a data set"
         )
-    if content.topics and content.profile not in ("ros1", "ros2"):
-        return f"; its messages are of ROS, and its profile is {content.profile!r}; 'ros2 bag convert' writes it anew"
-    return ""
+    if content.profile in ("ros1", "ros2"):
+        return ""
+    profile = f"its profile is {content.profile!r}, expected ros1 or ros2"
+    return f"; {profile}; 'ros2 bag convert' writes it anew, if its messages are of ROS"
 
 
 def read_mcap(path: Path) -> McapContent:

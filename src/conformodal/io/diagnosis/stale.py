@@ -1,7 +1,7 @@
 """Poses or pictures that repeat to the last bit while the other side moves: of a tracker or driver that has stopped.
 
-A single repeat is no reason: cameras and poses of other rates have them. Repeats count where one lasts for longer than
-a frame, or where more than a quarter of all are repeats.
+A single repeat is no reason: cameras and poses of other rates have them. Repeats count where they last for longer than
+a frame or 0.08 s, or where more than a quarter of all are repeats.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import numpy as np
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, UInt8Array, evenly_spread
 from conformodal.core.words import counted
 from conformodal.geometry import angle_between_quats
-from conformodal.geometry.metrics import MAX_GAP_S
 from conformodal.io.decoding import grey_image, read_image
 from conformodal.io.errors import ImageError
 
@@ -25,7 +24,7 @@ from .flow import flow_px, tracked_corners
 
 STALE_POSES, STALE_PICTURES = "poses repeat while the images move", "pictures repeat while the poses move"
 _ROUNDING = 1e-12  # of poses that were interpolated between equal ones
-_LONGER, _OFTEN = 1.5, 0.25  # frames; share of all
+_LONGER, _HELD_S, _OFTEN = 1.5, 0.08, 0.25  # frames, or seconds; share of all
 _MAX_TRIED, _MAX_NAMED = 24, 3
 _MOVED_PX = 2.0  # corners of images while poses stay
 _MOVED_M, _MOVED_SHARE, _MOVED_DEG = 0.005, 0.005, 0.2  # poses while pictures stay; share of the box of all positions
@@ -139,7 +138,7 @@ def _that_last(repeats: BoolArray, times_s: FloatArray, step_s: float) -> list[S
     stretches = stretches_of(repeats)
     if repeats.mean() > _OFTEN:
         return stretches
-    longest_s = min(_LONGER * step_s, MAX_GAP_S)
+    longest_s = min(_LONGER * step_s, _HELD_S)
     return [one for one in stretches if times_s[one.last] - times_s[one.first] > longest_s]
 
 
@@ -191,7 +190,7 @@ class RepeatWatch:
         if last is not None and _same_pixels(last, image):
             self._n_repeats += 1
             held_s = timestamp_s - self._first_s
-            if self._moved and (self._n_repeats > 1 or held_s > MAX_GAP_S):
+            if self._moved and (self._n_repeats > 1 or held_s > _HELD_S):
                 return (
                     f"{name}: repeats the picture of {self._name} to the last bit, {held_s:.2f} s later, and the "
                     "camera moved before: its driver seems to have stopped"
