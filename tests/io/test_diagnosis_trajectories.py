@@ -98,8 +98,8 @@ def test_poses_of_a_truth_that_repeat_while_the_estimate_moves_are_told(estimate
     )
     told = [reason for reason in doubt_truth(estimate, held).reasons if "repeat the one before" in reason]
     assert len(told) == 1
-    assert "it: 21 of 600 poses (4 %)" in told[0]  # a single repeat is none
-    assert "2 stretches: 1.9 s from 10.000, 0.2 s from 30.000" in told[0]
+    assert "it: 22 of 600 poses (4 %)" in told[0]
+    assert "3 stretches: 1.9 s from 10.000, 0.2 s from 30.000, 0.1 s from 40.000" in told[0]
     still = replace(estimate[rows], timestamps_s=truth.timestamps_s)  # rests as well
     assert not any("repeat" in reason for reason in doubt_truth(still, held).reasons)
 

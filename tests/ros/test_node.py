@@ -78,6 +78,15 @@ def test_images_are_answered_as_by_the_estimator_with_their_own_stamps(running, 
     assert set(levels) <= {b"\0", b"\1"}  # never lost; the first place may be one of several
 
 
+def test_a_driver_that_repeats_its_picture_has_lost_the_pose_until_it_goes_on(running):
+    node, ros, taken = running.node, running.ros, [0, 1, 2, 3, 3, 3, 3, 4]
+    for i, frame in enumerate(taken):
+        stamp_ns = START + i * NANOSECONDS // 20  # a single repeat may be a slower camera
+        node.subscribed["image"][1](image_message(ros, running.sequence.image(frame), stamp_ns))
+    assert [lost(message) for message in said(node)] == [False] * 5 + [True, True, False]
+    assert "repeats the picture of image of" in said(node, "status")[6].status[0].message
+
+
 def test_where_no_image_comes_the_pose_is_lost(running):
     node, ros = running.node, running.ros
     period_s, on_time = node.timer

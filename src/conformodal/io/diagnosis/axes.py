@@ -43,7 +43,7 @@ _OF_IMAGES = {
     "down-right-forward": "images turned by 90 degrees clockwise and then mirrored left to right",
     "up-left-forward": "images turned by 90 degrees counterclockwise and then mirrored left to right",
 }
-# "down-right-forward" maps x to y: turned clockwise (x down, y left), then mirrored (left becomes right)
+_OPPOSITE = "left-up-back"  # the same as OpenCV's axes but for the sign of all positions
 _MIRROR = np.diag([-1.0, 1.0, 1.0])
 _WORLD = re.compile(r"([+-]?)([xyz])")
 
@@ -95,6 +95,11 @@ def is_left_handed(columns: FloatArray) -> bool:
     return bool(np.linalg.det(columns) < 0)
 
 
+def is_usual(columns: FloatArray) -> bool:
+    """Whether axes (3, 3) are those of a known system, or of turned or mirrored images."""
+    return name_axes(columns) in {**_USERS, **_OF_IMAGES}
+
+
 def describe_axes(columns: FloatArray) -> str:
     """What axes (3, 3) of poses are, for people; of left-handed ones, which images have the same geometry."""
     name = name_axes(columns)
@@ -104,6 +109,8 @@ def describe_axes(columns: FloatArray) -> str:
         return f"{axes}, or {_OF_IMAGES[name]}" if user else _OF_IMAGES[name]
     if not is_left_handed(columns):
         return axes
+    if name == _OPPOSITE:
+        axes = f"positions of the other sign, or {axes}"
     behind = name_axes(_MIRROR @ columns)
     mirrored = f"images mirrored left to right, and axes {behind}" + (
         f" ({_USERS[behind]})" if behind in _USERS else ""
@@ -120,6 +127,10 @@ def advise_axes(columns: FloatArray) -> str:
     if name in _USERS:
         return f"{convert} if the poses are of such axes; mirrored images are to be mirrored back"
     behind = name_axes(_MIRROR @ columns)
+    if name == _OPPOSITE:
+        return (
+            "'conformodal data convert --world-axes=-x,-y,-z' if positions have the other sign; else mirror the images"
+        )
     then = "" if name in _OF_IMAGES else f", and convert the poses with --axes {behind}"
     return f"mirror the images back, since no turn of the poses can{then}"
 

@@ -15,7 +15,7 @@ from conformodal.io.errors import ImageError
 from conformodal.io.pose_files import table_of
 from conformodal.io.recording import Recording
 
-from .axes import OPENCV, advise_axes, describe_axes, name_axes, name_world_axes, signed_permutations
+from .axes import OPENCV, advise_axes, describe_axes, is_usual, name_axes, name_world_axes, signed_permutations
 from .cause import Cause
 from .flow import corners_of, flow_px, tracked_corners
 
@@ -31,7 +31,7 @@ _PEAK = 0.25  # of a shift that fits above the usual one
 _MAX_SHIFT_S, _SHIFTS = 10.0, 401
 _FOCALS = np.geomspace(0.3, 6.0, 120)  # of the longer side
 _OFF_CENTRE = 0.05  # of the image's side
-_SEARCHED, _CHUNK = 3, 48  # every third match tells enough of a turn; turns at a time
+_SEARCHED, _MAX_TRIED = 3, 48  # every third match tells enough of a turn; of those, so many are tried by all matches
 _MAX_NAMES = 3
 _ORDER_REMEDY = "name the columns in the head of the pose file, such as '# timestamp tx ty tz {}'"
 
@@ -70,6 +70,7 @@ class _Change(NamedTuple):
     what: str
     remedy: str
     before: float = np.nan  # share of these before both cameras
+    rank: int = 0  # of several that fit alike: the lowest is the most usual
 
 
 def diagnose_poses(recording: Recording) -> Cause | None:
@@ -156,26 +157,31 @@ def _best_axes(poses_se3: FloatArray, matches: _Matches, rays: FloatArray, camer
     """The axes, and way to read the poses, that fit best; a straight path looks the same under some of them.
 
     Axes of one class have the same epipolar lines as their opposites: a turn, and the mirrored axes that point the
-    other way. Which of both it is, points before the camera tell.
+    other way. Which of both it is, points before the camera tell. Of those that fit alike, usual ones are named first.
     """
     readings = _readings(poses_se3)
     turns = np.array(signed_permutations(proper=True))
     still = np.eye(3)[None]
-    best = _Change(0.0, "", "")
     centre = np.array([camera.width - 1, camera.height - 1]) / 2
     views = [(rays, False)]
     if (np.abs((camera.cx, camera.cy) - centre) > _OFF_CENTRE * np.array([camera.width, camera.height])).any():
         views.append((_rays((matches.pixels - centre) / (camera.fx, camera.fy)), True))
-    for tier, worlds in ((readings[:1], still), (readings[1:2], still), (readings[2:], still), (readings[:2], turns)):
-        if best.share >= _FITS:
-            break
-        for view, in_middle in views:
-            change = _best_of(tier, worlds, turns, matches, view, camera.fx, centred=in_middle)
-            best = change if change.share > best.share + _EQUAL else best
-    return best
+    found, most = list[_Change](), 0.0
+    for tier, worlds in ((readings[:2], still), (readings[2:], still), (readings[:2], turns)):
+        for view, in_middle in views if most < _FITS else []:
+            fitting = _fitting(tier, worlds, turns, matches, view, camera.fx, centred=in_middle)
+            if max(change.share for change in fitting) > most + _EQUAL:
+                found, most = fitting, max(change.share for change in fitting)
+    same = sorted((change for change in found if change.share > most - _EQUAL), key=lambda change: change.rank)
+    whats = list(dict.fromkeys(change.what for change in same))
+    what = " or ".join(whats[:_MAX_NAMES]) + (f", or {len(whats) - _MAX_NAMES} others" * (len(whats) > _MAX_NAMES))
+    remedies = list(dict.fromkeys(change.remedy for change in same))[:_MAX_NAMES]
+    remedy = "; or: ".join(remedies) + "; images of such a path cannot tell which" * (len(remedies) > 1)
+    told = f"they fit with {what}, where camera-to-world and OpenCV's axes are assumed"
+    return same[0]._replace(what=told, remedy=remedy)
 
 
-def _best_of(
+def _fitting(
     readings: list[_Reading],
     worlds: FloatArray,
     turns: FloatArray,
@@ -184,20 +190,19 @@ def _best_of(
     focal_px: float,
     *,
     centred: bool,
-) -> _Change:
-    """The best of turns of axes (t, 3, 3), of the positions' worlds (w, 3, 3) and of readings."""
+) -> list[_Change]:
+    """Turns of axes (t, 3, 3), of the positions' worlds (w, 3, 3) and readings that are nearly as good as the best."""
     tried, shares = list[tuple[_Reading, FloatArray, FloatArray]](), list[float]()
     few = rays[:, ::_SEARCHED]
     for reading in readings:
         for world in worlds:
             motions = _motions(reading.poses, matches, world)
-            for some in np.array_split(turns, -(-len(turns) // _CHUNK)):
-                shares += _shares_near(_turned(motions, some[:, None]), few, focal_px).tolist()
+            shares += _shares_near(_turned(motions, turns[:, None]), few, focal_px).tolist()
             tried += [(reading, world, turn) for turn in turns]
     # those that are as good as the best by fewer matches, by all of them
-    likely = [tried[i] for i in np.flatnonzero(np.array(shares) > max(shares) - 3 * _EQUAL)[: 4 * _MAX_NAMES]]
     found = list[_Change]()
-    for reading, world, turn in likely:
+    for i in np.flatnonzero(np.array(shares) > max(shares) - 3 * _EQUAL)[:_MAX_TRIED].tolist():
+        reading, world, turn = tried[i]
         motions = _turned(_motions(reading.poses, matches, world), turn)
         share, before = float(_shares_near(motions, rays, focal_px)), _share_before(motions, rays, focal_px)
         sign = -1.0 if before < 0.5 else 1.0  # NaN is neither
@@ -205,11 +210,7 @@ def _best_of(
         of_world = not np.array_equal(world, np.eye(3))
         axes, world_axes = (turn.T, sign * world) if of_world else (sign * turn.T, world)
         found.append(_described(share, before, reading, axes, world_axes if of_world else None, centred=centred))
-    most = max(change.share for change in found)
-    same = [change for change in found if change.share > most - _EQUAL]
-    whats = list(dict.fromkeys(change.what for change in same))
-    what = " or ".join(whats[:_MAX_NAMES]) + (f", or {len(whats) - _MAX_NAMES} others" * (len(whats) > _MAX_NAMES))
-    return same[0]._replace(what=f"they fit with {what}, where camera-to-world and OpenCV's axes are assumed")
+    return found
 
 
 def _described(
@@ -217,7 +218,8 @@ def _described(
 ) -> _Change:
     """A change in words."""
     parts, remedies = [reading.what], [reading.remedy]
-    if name_axes(axes) != OPENCV:
+    axes_are_opencv = name_axes(axes) == OPENCV
+    if not axes_are_opencv:
         parts.append(describe_axes(axes))
         remedies.append(advise_axes(axes))
     if world is not None:
@@ -227,7 +229,8 @@ def _described(
     if centred:
         parts.append("the principal point in the middle of the images")
         remedies.append("check the camera")
-    return _Change(share, " and ".join(filter(None, parts)), "; ".join(filter(None, remedies)), before)
+    rank = 3 * (world is not None) + bool(reading.what) + (0 if axes_are_opencv else 1 if is_usual(axes) else 3)
+    return _Change(share, " and ".join(filter(None, parts)), "; ".join(filter(None, remedies)), before, rank)
 
 
 def _readings(poses_se3: FloatArray) -> list[_Reading]:
