@@ -151,6 +151,22 @@ def test_the_convention_of_given_poses_is_told(real_data, data):
         assert f"they fit with {best}, where" in diagnose_poses(changed(recording, change)).what
 
 
+@pytest.mark.parametrize("part", ["positions_xyz", "orientations_quat_wxyz"])
+@pytest.mark.parametrize(("every", "share"), [(3, 66), (30, 96)])
+def test_positions_or_orientations_of_a_lower_rate_are_named(real_data, part, every, share):
+    recording = read_recording(real_data("tum", "fr1_desk"))
+    rows = np.arange(len(recording)) // every * every
+    poses = replace(recording.poses, **{part: getattr(recording.poses, part)[rows]})
+    cause = diagnose_poses(replace(recording, poses=poses))
+    assert cause.what.startswith(f"{part.split('_')[0]} repeat to the last bit in {share} % of the poses")
+
+
+def test_a_camera_that_turns_alone_is_compared_by_its_rotation(real_data):
+    recording = read_recording(real_data("tum", "fr1_desk"))
+    still = np.tile(recording.poses.positions_xyz[:1], (len(recording), 1))
+    assert diagnose_poses(replace(recording, poses=replace(recording.poses, positions_xyz=still))) is not None
+
+
 def late_by(recording, shift_s):
     """The frames whose poses were recorded by a clock that is ahead."""
     truth = recording.require_truth()

@@ -156,6 +156,13 @@ NAMED = {
     ),
     "seconds and nanoseconds": ("sec;nanosec;x;y;z;qx;qy;qz;qw", ";", ["100", "ns", 1, 2, 3, 5, 6, 7, 4]),
     "velocities before": ("time vx vy vz px py pz qw qx qy qz", "\t", [0, "1", "1", "1", 1, 2, 3, 4, 5, 6, 7]),
+    "names of images first": ("image,timestamp,x,y,z,qx,qy,qz,qw", ",", ["a.png", 0, 1, 2, 3, 5, 6, 7, 4]),
+    "quotes and units in names": ('"time_sec","x_m","y_m","z_m","qw","qx","qy","qz","rms"', ",", [*range(8), "1"]),
+    "rotation and translation": (
+        "time translation.x translation.y translation.z rotation.x rotation.y rotation.z rotation.w euler.x",
+        " ",
+        [0, 1, 2, 3, 5, 6, 7, 4, "3"],
+    ),
     "units": ("# time [s], pos_x [m], pos_y [m], pos_z [m], q_w, q_x, q_y, q_z, std_x", ", ", [*range(8), "0.1"]),
 }
 

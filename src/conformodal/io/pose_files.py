@@ -135,6 +135,12 @@ def _head_and_first(path: Path) -> tuple[list[str], str]:
     """The lines before the first one of numbers, at most five, and that one."""
     lines = [line for line in read_lines(path) if line.strip()]
     at = next((k for k, line in enumerate(lines) if line.lstrip()[0] in "+-.0123456789"), len(lines))
+    for k in range(
+        min(_HEAD_LINES, len(lines) - 1) if at == len(lines) else 0
+    ):  # lines begin with the name of an image
+        if named_columns(path, [lines[k]], len(tokens(lines[k + 1]))) is not None:
+            at = k + 1
+            break
     return lines[:at][-_HEAD_LINES:], (lines[at] if at < len(lines) else "")
 
 

@@ -25,6 +25,7 @@ _OTHERS = {"v", "vel", "velocity", "twist", "linear", "angular", "omega", "acc",
 _OTHERS |= {"euler", "rpy", "cov", "covariance", "scale", "mag", "std", "sigma", "var", "variance", "err", "error"}
 _TIMES = {"timestamp", "timestamps", "time", "times", "stamp", "t", "ts", "utc", "timestamp_s", "time_s"}
 _TIMES |= {"timestamp_ns", "time_ns", "timestamp_us", "time_us", "timestamp_ms", "time_ms", "stamp_s", "stamp_ns"}
+_METRES = {"m", "meter", "meters", "metre", "metres"}
 _SECONDS, _NANOSECONDS = {"sec", "secs", "seconds"}, {"nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"}
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
@@ -66,7 +67,7 @@ def named_columns(path: Path, heads: list[str], n_columns: int) -> Columns | Non
         Numbers of a line; further names are words that follow.
     """
     for line in reversed(heads):
-        names = tokens(_UNITS.sub("", line).lstrip("#% \t").lower())[:n_columns]
+        names = [name.strip("\"' ") for name in tokens(_UNITS.sub("", line).lstrip("#% \t").lower())][:n_columns]
         roles = [_role(name) for name in names]
         if len(names) != n_columns or not {*POSE} <= {*roles} or not {"time", "sec"} & {*roles}:
             continue
@@ -91,7 +92,9 @@ def _only(path: Path, role: str, names: list[str], roles: list[str]) -> int:
 
 
 def _words(name: str) -> list[str]:
-    return [part for part in _PARTS.split(name.strip()) if part] or [""]
+    """The parts of a name, without a unit of lengths at its end."""
+    parts = [part for part in _PARTS.split(name) if part]
+    return (parts[:-1] if len(parts) > 1 and parts[-1] in _METRES else parts) or [""]
 
 
 def _role(name: str) -> str:

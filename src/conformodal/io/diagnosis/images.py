@@ -18,6 +18,7 @@ from conformodal.io.recording import Recording
 from .axes import OPENCV, advise_axes, describe_axes, is_usual, name_axes, name_world_axes, signed_permutations
 from .cause import Cause
 from .flow import corners_of, flow_px, tracked_corners
+from .stale import repeated_poses
 
 _PAIRS, _STEPS, _MIN_MATCHES = 32, (1, 2, 4, 8), 200
 _FLOW_PX = 4.0
@@ -30,6 +31,7 @@ _PARALLAX_PX, _BEHIND, _MIN_SEEN = 3.0, 0.3, 100
 _PEAK = 0.25  # of a shift that fits above the usual one
 _MAX_SHIFT_S, _SHIFTS = 10.0, 401
 _FOCALS = np.geomspace(0.3, 6.0, 120)  # of the longer side
+_OFTEN = 0.25  # of positions that repeat while orientations do not
 _OFF_CENTRE = 0.05  # of the image's side
 _SEARCHED, _MAX_TRIED = 3, 48  # every third match tells enough of a turn; of those, so many are tried by all matches
 _MAX_NAMES = 3
@@ -83,20 +85,28 @@ def diagnose_poses(recording: Recording) -> Cause | None:
     matches = _match_pairs(recording) if recording.poses is not None and len(recording.poses) > 1 else None
     if matches is None or recording.poses is None or matches.n_matches < _MIN_MATCHES:
         return None
-    poses, camera = recording.poses.poses_se3, recording.camera
+    camera = recording.camera
     rays = _rays(on_plane(camera, matches.pixels.reshape(-1, 2)).reshape(matches.pixels.shape))
-    motions = _motions(poses, matches)
+    motions = _motions(recording.poses.poses_se3, matches)
     given = float(_shares_near(motions, rays, camera.fx))
     before = _share_before(motions, rays, camera.fx)
     near = f"as read, {100 * given:.0f} % of the matched corners are within {_NEAR_PX:g} px of their epipolar line"
     if given >= _FITS_NOT and before < _BEHIND:
         near += f", and {100 * (1 - before):.0f} % of these points lie behind the camera"
-        return _told(_best_axes(poses, matches, rays, camera), near)
-    if given > 1 - _BETTER:
-        return None
-    changes = [_best_focal(camera, matches, motions), _best_axes(poses, matches, rays, camera)]
+        return _told(_best_axes(recording.poses.poses_se3, matches, rays, camera), near)
+    if given < _FITS and (repeats := _parts_that_repeat(recording.poses)):
+        return Cause(repeats, near, "give both of one rate, interpolated to the images' times")
+    return None if given > 1 - _BETTER else _explain(recording.poses, camera, matches, rays, motions, near)
+
+
+def _explain(
+    truth: Trajectory, camera: PinholeCamera, matches: _Matches, rays: FloatArray, motions: _Motions, near: str
+) -> Cause | None:
+    """The best of changes of camera and poses, if it is better than none; `near` says how the poses fit as read."""
+    given = float(_shares_near(motions, rays, camera.fx))
+    changes = [_best_focal(camera, matches, motions), _best_axes(truth.poses_se3, matches, rays, camera)]
     if max(given, *(change.share for change in changes)) < _FITS:
-        changes.append(_best_shift(recording.poses, matches, rays, camera.fx))
+        changes.append(_best_shift(truth, matches, rays, camera.fx))
     most = max(change.share for change in changes)
     if most >= max(_FITS_NOT, given + _BETTER):
         return _told(next(change for change in changes if change.share > most - _EQUAL), near)
@@ -108,6 +118,17 @@ def diagnose_poses(recording: Recording) -> Cause | None:
         f"poses up to {_MAX_SHIFT_S:g} s later or earlier",
         "check which poses and images belong together",
     )
+
+
+def _parts_that_repeat(poses: Trajectory) -> str:
+    """Whether positions repeat to the last bit while orientations change, or the other way round; else nothing."""
+    positions, orientations = repeated_poses(poses.positions_xyz), repeated_poses(poses.orientations_quat_wxyz)
+    parts = {"positions": positions & ~orientations, "orientations": orientations & ~positions}
+    part = max(parts, key=lambda name: int(parts[name].sum()))
+    share = float(parts[part].mean())
+    if share < _OFTEN:
+        return ""
+    return f"{part} repeat to the last bit in {100 * share:.0f} % of the poses, whose other numbers change"
 
 
 def _told(change: _Change, as_read: str) -> Cause:
@@ -333,7 +354,13 @@ def _epipolar_px(motions: _Motions, rays: FloatArray, focal_px: float) -> FloatA
     a, b = rays[:, :, 0], rays[:, :, 1]
     lines, back = a @ np.swapaxes(E, -1, -2), b @ E
     norm = np.sqrt((lines[..., :2] ** 2).sum(axis=-1) + (back[..., :2] ** 2).sum(axis=-1))
-    return np.asarray(focal_px * np.abs((b * lines).sum(axis=-1)) / np.maximum(norm, 1e-12))
+    errors = focal_px * np.abs((b * lines).sum(axis=-1)) / np.maximum(norm, 1e-12)
+    still = (motions.translations == 0).all(axis=-1)
+    if still.any():  # no epipolar lines: a camera that turns alone moves all points by its rotation
+        turned = a @ np.swapaxes(motions.rotations, -1, -2)
+        apart = turned[..., :2] / turned[..., 2:] - b[..., :2] / b[..., 2:]
+        errors = np.where(still[..., None], focal_px * np.linalg.norm(apart, axis=-1), errors)
+    return np.asarray(errors)
 
 
 def _share_before(motions: _Motions, rays: FloatArray, focal_px: float) -> float:

@@ -48,7 +48,7 @@ def stretches_of(repeats: BoolArray) -> list[Stretch]:
 
 
 def repeated_poses(rows: FloatArray, recording: IntArray | None = None) -> BoolArray:
-    """Which of the poses (n, 7) repeat the one before, in the same recording."""
+    """Which of the poses (n, 7), or of their parts, repeat the one before, in the same recording."""
     same = np.zeros(len(rows), dtype=np.bool_)
     if len(rows) > 1:
         same[1:] = (np.abs(np.diff(rows, axis=0)) <= _ROUNDING * np.maximum(1, np.abs(rows[1:]))).all(axis=1)
