@@ -142,6 +142,16 @@ def test_pictures_that_are_held_while_poses_move_are_named_and_left_out(tmp_path
     assert invoke("data", "check", folder).exit_code == 1
 
 
+@pytest.mark.parametrize(("lost", "found"), [((10, 19), 14), ((*range(10, 19), 40, 41, 42, 43, 44), 0)])
+def test_pictures_that_are_held_are_found_where_poses_are_missing(tmp_path, lost, found):
+    folder = write(tmp_path / "a", HELD, MOVING, Layout.SEVENSCENES)
+    for i in lost:
+        (folder / f"frame-{i:06d}.pose.txt").unlink()
+    where = told(read_recording(folder, require_poses=False)).get(STALE_PICTURES, "")
+    assert where.startswith(f"{folder.name}: {found} of" if found else "")
+    assert bool(where) == bool(found)
+
+
 def test_a_single_repeat_that_lasts_is_named_and_a_gap(tmp_path):
     folder = write(tmp_path / "a", held((10, 11)), MOVING, times=np.arange(N) / 10)
     recording = read_recording(folder, require_poses=False)

@@ -39,6 +39,11 @@ class Stretch(NamedTuple):
     first: int
     last: int
 
+    @property
+    def rows(self) -> slice:
+        """All of it."""
+        return slice(self.first, self.last + 1)
+
 
 def stretches_of(repeats: BoolArray) -> list[Stretch]:
     """Stretches of rows (n,) that repeat the one before."""
@@ -98,7 +103,9 @@ def stale_poses(
 def stale_truth(times_s: FloatArray, rows: FloatArray, estimate: FloatArray) -> list[Stretch]:
     """Stretches of poses (n, 7) that repeat while those of an estimate, of these times, move by more than noise."""
     likely = _that_last(repeated_poses(rows), times_s, float(np.median(np.diff(times_s))))
-    return [one for one in likely if poses_move(estimate[list(one)], _MOVED_ESTIMATE_M, _MOVED_ESTIMATE_DEG)]
+    return [
+        one for one in likely if poses_move(estimate[one.first : one.last + 1], _MOVED_ESTIMATE_M, _MOVED_ESTIMATE_DEG)
+    ]
 
 
 def stale_pictures(
@@ -111,12 +118,19 @@ def stale_pictures(
     posed = np.isfinite(rows).all(axis=1)
     box_m = float(np.linalg.norm(np.ptp(rows[posed, :3], axis=0))) if posed.any() else np.nan
     likely = _that_last(repeats, times_s, float(np.median(np.diff(times_s))))
-    return [stretch for stretch in likely if poses_move(rows[list(stretch)], max(_MOVED_M, _MOVED_SHARE * box_m))]
+    return [
+        stretch
+        for stretch in likely
+        if poses_move(rows[stretch.first : stretch.last + 1], max(_MOVED_M, _MOVED_SHARE * box_m))
+    ]
 
 
 def poses_move(rows: FloatArray, moved_m: float, moved_deg: float = _MOVED_DEG) -> bool:
-    """Whether the last of some poses (n, 7) is elsewhere than the first, or looks elsewhere; not where one is NaN."""
-    first, last = rows[0], rows[-1]
+    """Whether the last of some poses (n, 7) is elsewhere than the first, or looks elsewhere; rows of NaN are none."""
+    known = rows[np.isfinite(rows).all(axis=1)]
+    if len(known) < 2:
+        return False
+    first, last = known[0], known[-1]
     turned_deg = float(np.degrees(angle_between_quats(first[None, 3:], last[None, 3:])[0]))
     return bool(np.linalg.norm(last[:3] - first[:3]) > moved_m or turned_deg > moved_deg)
 
