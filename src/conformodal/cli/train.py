@@ -19,6 +19,7 @@ from conformodal.features.extract import FeatureCache
 from conformodal.features.local import default_detector
 from conformodal.features.settings import NETWORKS, TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
+from conformodal.io.diagnosis.cameras import doubt_focal
 from conformodal.localizer.sources.registry import find_source
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
 from conformodal.pipeline.guarantee import describe_guarantee, short_guarantee
@@ -36,7 +37,6 @@ from .sources import DATA_PANEL, AllData, Cache, DataLayout, Focal, cache_folder
 _data, _model, _calibration = (
     partial(typer.Option, rich_help_panel=panel) for panel in (DATA_PANEL, "Model", "Calibration")
 )
-_FOCAL_OFF = 0.02  # a focal length that differs by a larger share is reported
 
 
 def train(
@@ -172,7 +172,4 @@ def _doubt_landmarks(model: PoseModel) -> str:
     if model.landmarks is None:
         asked = "landmarks" in model.settings["sources"]
         return "no landmarks: too few corners of the training frames could be triangulated" if asked else ""
-    implied, given = model.landmarks.map.camera.fx, model.camera.fx
-    if abs(implied / given - 1) < _FOCAL_OFF:
-        return ""
-    return f"the poses imply a focal length of {implied:.0f} px where {given:.0f} px is given: check the camera"
+    return doubt_focal(model.landmarks.map.camera.fx, model.camera)

@@ -19,6 +19,7 @@ _CANNOT_DEG, _UNLIKELY_DEG = (0.1, 170.0), (3.0, 130.0)  # fields of view
 # those of smaller or larger images are; and at most where images are turned.
 _OFF_CENTRE, _OFF_DIAGONAL, _OFF_TURNED, _CENTRED = 0.2, 0.12, 0.1, 0.05
 _ALIKE, _UNLIKE = 1.06, 1.25  # scales of both sides; fx and fy
+_FOCAL_OFF = 0.02  # a focal length that differs by a larger share is reported
 _MAX_BENT, _MAX_SHARE = 10.0, 3.0  # of the distance from the middle; of the image's side, no pixels
 
 
@@ -44,6 +45,13 @@ def doubt_camera(camera: PinholeCamera) -> CameraDoubts:
     if not 1 / _UNLIKE < camera.fx / camera.fy < _UNLIKE:
         doubts.append(f"fx = {camera.fx:g} and fy = {camera.fy:g} differ, and cameras have nearly square pixels")
     return CameraDoubts("", doubts + folds)
+
+
+def doubt_focal(implied_px: float, camera: PinholeCamera) -> str:
+    """Whether the focal length that the poses imply is another one than the camera's; else nothing."""
+    if abs(implied_px / camera.fx - 1) < _FOCAL_OFF:
+        return ""
+    return f"the poses imply a focal length of {implied_px:.0f} px where {camera.fx:.0f} px is given: check the camera"
 
 
 def check_matrix(source: Path | str, k: FloatArray) -> None:
