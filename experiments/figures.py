@@ -142,9 +142,9 @@ def bin_runs(
         odometry, test = odometry_of(model), model.split.test
         run = odometry.process(sequence, test, progress=progress)
         names = [sequence.image_paths[i].name for i in run.frames]
-        write_run(place, run, names, sequence.require_truth()[run.frames])
+        metrics = {"command": "run", "provenance": provenance(), "configuration": wanted}
         save_model(model, place / "model")
-        write_metrics(place, {"command": "run", "provenance": provenance(), "configuration": wanted})
+        write_run(place, run, names, sequence.require_truth()[run.frames], metrics)
     return found
 
 

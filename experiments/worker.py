@@ -30,7 +30,7 @@ from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.paper import Greedy
 from conformodal.pipeline.plain import PlainRegressor, train_plain, trajectory_of
 from conformodal.pipeline.provenance import provenance
-from conformodal.pipeline.results import ResultsWriter, record_of, write_metrics
+from conformodal.pipeline.results import ResultsWriter, record_of
 from conformodal.pipeline.stream import as_trajectory, whole_paths
 from conformodal.pipeline.train import prepare_training_data, train_model
 from conformodal.pipeline.training_data import TrainingData
@@ -85,8 +85,8 @@ class Table1Worker:
         add_trajectories(trained, run, features, recording)
         if self.runs is not None and task.seed == 0:
             place = self.runs / run_name(task.key, sigma)
-            write_run(place, run, [path.name for path in paths], truth)
-            write_metrics(place, {"command": "run", "provenance": provenance(), "configuration": model.settings})
+            metrics = {"command": "run", "provenance": provenance(), "configuration": model.settings}
+            write_run(place, run, [path.name for path in paths], truth, metrics)
         return {
             "errors": error_table(run.trajectories, truth),
             "region": region_numbers(run, model, truth),
@@ -94,7 +94,9 @@ class Table1Worker:
         }
 
 
-def write_run(folder: Path, run: OdometryRun, frame_names: Sequence[str], truth: Trajectory) -> None:
+def write_run(
+    folder: Path, run: OdometryRun, frame_names: Sequence[str], truth: Trajectory, metrics: dict[str, Any]
+) -> None:
     """Write a recording's answers; `frame_names` and `truth` are names and true poses of the answered frames."""
     with ResultsWriter(folder, run.answer) as writer:
         for name, trajectory in run.trajectories.items():
@@ -102,6 +104,7 @@ def write_run(folder: Path, run: OdometryRun, frame_names: Sequence[str], truth:
         writer.truth(truth)
         for name, estimate in zip(frame_names, run.estimates, strict=True):
             writer.region(record_of(name, estimate))
+    writer.publish(metrics)
 
 
 def train_all(task: TrainingTask, data: TrainingData) -> TrainedMethods:

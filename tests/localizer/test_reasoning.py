@@ -113,3 +113,7 @@ def test_a_smoother_starts_from_the_core_of_the_errors_of_known_images_and_is_wi
     np.testing.assert_allclose(found.orientation_spreads_rad[0], 0.6 * 0.02)
     np.testing.assert_allclose(found.position_spreads[1], 0.2 * DEEP.depth_m)
     np.testing.assert_allclose(found.orientation_spreads_rad[1], 0.5)
+    elsewhere = replace(start, positions_xyz=start.positions_xyz + DEEP.depth_m)  # the image speaks for another place
+    found = image_hypotheses(elsewhere, Observations(frames, [None] * 2, t), DEEP)
+    np.testing.assert_array_equal(found.positions_xyz, elsewhere.positions_xyz)
+    np.testing.assert_array_equal(found.position_spreads, elsewhere.position_spreads)

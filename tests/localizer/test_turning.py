@@ -80,5 +80,8 @@ def test_the_roll_is_followed_from_the_last_recognised_place_and_doubted_after_f
     assert step(None) == 50  # nothing is known of the motion: as before
     assert step(motion(20), [estimate(75), estimate(-20, 0.95)]) == 70
     assert [step(motion(1)) for _ in range(10)] == [76, 77, 78, 79, 80, 81, 82, 0, 84, 0]
+    assert [step(motion(0)) for _ in range(60)][-8:] == [0] * 8  # forgotten
+    assert step(motion(0), [estimate(40)]) == 0
+    assert step(motion(0)) == 40
     tracker.reset()
     assert step(motion(30)) == 0

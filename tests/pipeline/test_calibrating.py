@@ -7,6 +7,8 @@ from scipy.stats import norm
 
 from conformodal.conformal import QuantileBins
 from conformodal.features.extract import FeatureCache
+from conformodal.localizer.evidence import PoseMeasurement
+from conformodal.localizer.localizer import Beliefs
 from conformodal.localizer.regions import Support
 from conformodal.localizer.sources import registry
 from conformodal.localizer.sources.registry import SourceAnswer, register_source
@@ -127,10 +129,51 @@ def test_frames_that_are_lost_do_not_calibrate_regions_from_posteriors(monkeypat
     rules = SimpleNamespace(overall=overall, known=every, recognised=every)
     folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), unit, unit)
     its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
-    paths = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, [None] * n)
+    paths = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, [None] * n, "blocks")
     assert {path.longest_gap_s for path in paths.values()} == {0.3}
     online, hindsight = (paths[path].calibration for path in ("online", "hindsight"))
     np.testing.assert_array_equal(np.sort(online.scores_[:, 0]), score)
     first = np.array([0, 100, 140, 154, 160])  # lost in hindsight
     np.testing.assert_array_equal(np.sort(hindsight.scores_[:, 0]), np.delete(score, first))
     assert float(hindsight.weight) == pytest.approx((np.array([100, 40, 14, 6]) - 1) @ (1 / np.array([100, 40, 14, 6])))
+
+
+class Rolled:
+    """Turns an image by a tenth of where the camera was, and recognises every turned image."""
+
+    def turn_for(self, position_xyz, quat_wxyz):
+        return 0.1 * position_xyz[0]
+
+    def beliefs(self, evidence):
+        [seen] = evidence.local_features
+        pose = PoseMeasurement(np.array([seen, 0, 0]), np.array([1.0, 0, 0, 0]), 0.1, 0.1, 50, 0.99)
+        return Beliefs([np.full((1, 2), seen)], [seen], [[pose]])
+
+
+def test_held_out_stretches_are_looked_at_as_streams_and_rolled_images_turned(monkeypatch):
+    """Upright, only the first frame of each stretch is recognised."""
+    turned = []
+
+    def turned_features(sequence, frame, detector, turn_rad, upright):
+        turned.append((frame, round(turn_rad, 3), upright))
+        return frame
+
+    monkeypatch.setattr(calibrating, "turned_features", turned_features)
+    data = SimpleNamespace(
+        local_features=lambda frames: [f"upright {frames[0]}"], sequence=None, detector=None, features=np.zeros((8, 1))
+    )
+    held_out, units = np.array([1, 2, 3, 5, 6, 7]), np.repeat([0, 1], 4)
+
+    def estimates(frame):
+        pose = PoseMeasurement(np.array([frame, 0, 0]), np.array([1.0, 0, 0, 0]), 0.1, 0.1, 50, 0.99)
+        return [pose] if frame in (1, 5) else []
+
+    upright = Beliefs([np.zeros((6, 2))], ["upright"] * 6, [estimates(frame) for frame in held_out.tolist()])
+    found = calibrating._look_turned(data, units, dict.fromkeys(range(8)), held_out, Rolled(), upright)
+    # by the pose of the frame before, which a turned image gives anew; the first of a stretch is upright
+    expected = [(2, 0.1, "upright 2"), (3, 0.2, "upright 3"), (6, 0.5, "upright 6"), (7, 0.6, "upright 7")]
+    assert turned == expected
+    assert found.mixtures == ["upright", 2, 3, "upright", 6, 7]
+    np.testing.assert_array_equal(found.proba[0][:, 0], [0, 2, 3, 0, 6, 7])
+    assert [its[0].position_xyz[0] for its in found.estimates] == [1, 2, 3, 5, 6, 7]
+    assert upright.mixtures == ["upright"] * 6

@@ -151,31 +151,45 @@ def test_earlier_results_stay_where_the_next_run_breaks_off(tmp_path, after):
     assert read_trajectories(tmp_path)["smoothed"].positions_xyz[0, 0] == pytest.approx(2)
 
 
-@pytest.mark.parametrize("step", range(6))
+@pytest.mark.parametrize("step", range(8))
 def test_a_run_that_is_killed_while_it_replaces_earlier_results_never_passes_for_one(tmp_path, monkeypatch, step):
     """Before the first replacement the earlier run stands; a mixture is refused."""
     write_results(tmp_path)
-    before, replace = contents(tmp_path), Path.replace
-    left = iter(range(step))
+    fill(tmp_path, {"methods/old.tum": (tmp_path / "methods" / "online.tum").read_text()})
+    before, left = contents(tmp_path), iter(range(step))
 
-    def killed(self, target):
-        if self.name.endswith(UNFINISHED) and next(left, None) is None:
-            raise KeyboardInterrupt
-        return replace(self, target)
+    def killed(change):
+        """A change of a file of a run, before which the run may be killed."""
 
-    monkeypatch.setattr(Path, "replace", killed)
+        def changed(self, *how, **options):
+            if self.suffix != PART and next(left, None) is None:
+                raise KeyboardInterrupt
+            return change(self, *how, **options)
+
+        return changed
+
+    writer, publish = ResultsWriter, ResultsWriter.publish
+
+    def publish_killed(its, metrics):
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "replace", killed(Path.replace))
+            patch.setattr(Path, "unlink", killed(Path.unlink))
+            publish(its, metrics)
+
+    monkeypatch.setattr(writer, "publish", publish_killed)
     try:
-        write_results(tmp_path, shift=1.0)
+        write_results(tmp_path, shift=1.0, truth=False)
     except KeyboardInterrupt:
         if step == 0:
             assert {k: v for k, v in contents(tmp_path).items() if not k.endswith(UNFINISHED)} == before
             assert read_run(tmp_path).answer.positions_xyz[0, 0] == pytest.approx(1)
-        elif step < 5:
+        else:
             with pytest.raises(ResultsError, match="Run it again"):
                 read_run(tmp_path)
-    else:
-        assert step == 5
+    else:  # three files, two that are old, the page that is not there, and the metrics
+        assert step == 7
         assert read_run(tmp_path).answer.positions_xyz[0, 0] == pytest.approx(2)
+        assert not contents(tmp_path).keys() & {"truth.tum", "methods/old.tum"}
 
 
 def drop(*names):

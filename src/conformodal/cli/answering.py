@@ -224,11 +224,13 @@ def write_answers(
 ) -> None:
     """Write the page, and publish it with the metrics and all that was written of the run."""
     records, runner = answers.writer.records, answers.runner
-    level, unit = answers.model.rules.level, metrics["configuration"]["unit"]
+    level, unit, paths = answers.model.rules.level, metrics["configuration"]["unit"], answers.trajectories
     trained_xyz = answers.model.known_frames.poses[answers.model.localizer.frames, :3]
-    viewer = make_viewer(records, answers.trajectories, runner.truth, answers.pictures, level, walls, unit, trained_xyz)
-    write_page(answers.writer.unfinished(PAGE), title, summary, metrics, viewer)
-    answers.writer.publish(metrics)
+    try:
+        viewer = make_viewer(records, paths, runner.truth, answers.pictures, level, walls, unit, trained_xyz)
+        write_page(answers.writer.unfinished(PAGE), title, summary, metrics, viewer)
+    finally:  # a page that cannot be made takes no results with it
+        answers.writer.publish(metrics)
 
 
 def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:

@@ -74,13 +74,13 @@ class Beliefs:
         mixtures, estimates = [self.mixtures[i] for i in numbers], [self.estimates[i] for i in numbers]
         return Beliefs([p[rows] for p in self.proba], mixtures, estimates)
 
-    def replaced(self, row: int, other: Beliefs) -> Beliefs:
-        """The same with the belief about one image in place of that in a row."""
-        mixtures, estimates = list(self.mixtures), list(self.estimates)
-        mixtures[row], estimates[row] = other.mixtures[0], other.estimates[0]
-        proba = [p.copy() for p in self.proba]
-        for mine, its in zip(proba, other.proba, strict=True):
-            mine[row] = its[0]
+    def replaced(self, others: dict[int, Beliefs]) -> Beliefs:
+        """The same with others about one image each in place of those in some rows."""
+        mixtures, estimates, proba = list(self.mixtures), list(self.estimates), [p.copy() for p in self.proba]
+        for row, other in others.items():
+            [mixtures[row]], [estimates[row]] = other.mixtures, other.estimates
+            for mine, its in zip(proba, other.proba, strict=True):
+                mine[row] = its[0]
         return Beliefs(proba, mixtures, estimates)
 
     def after(self, posteriors: Sequence[Posterior]) -> Beliefs:

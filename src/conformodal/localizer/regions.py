@@ -384,9 +384,5 @@ class PlaceNovelty:
         if asked is not None:
             return asked
         by_frame = bool((self.test.weights_ == 1).all())
-        return max(_LEVEL_FRAMES if by_frame else LEVEL_STRETCHES, self.least_p)
-
-    @property
-    def least_p(self) -> float:
-        """The smallest possible p-value: that of an image beyond all that calibrate."""
-        return max(test.least_p for test in (self.test, self.matched) if test is not None)
+        least = max(test.least_p for test in (self.test, self.matched) if test is not None)
+        return max(_LEVEL_FRAMES if by_frame else LEVEL_STRETCHES, least)

@@ -50,10 +50,10 @@ def image_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> 
             wide2 = (hypotheses.position_spreads[rows] ** 2).sum(axis=1) + (spreads[t] ** 2).sum()
             best = rows[np.argmax(hypotheses.log_mass[rows] - 0.5 * off2 / wide2)]
             positions[t], spreads[t] = hypotheses.positions_xyz[best], hypotheses.position_spreads[best]
-            quats[t], turns[t] = hypotheses.orientations_quat_wxyz[best], hypotheses.orientation_spreads_rad[best]
+            spreads[t] *= _CORE_OF_SPREAD
+            quats[t] = hypotheses.orientations_quat_wxyz[best]
+            turns[t] = _CORE_OF_SPREAD * hypotheses.orientation_spreads_rad[best]
     unknown = ~seen.is_known
-    spreads[~unknown] *= _CORE_OF_SPREAD
-    turns[~unknown] *= _CORE_OF_SPREAD
     spreads[unknown] = np.maximum(spreads[unknown], _UNKNOWN_SPREAD * prior.scale_m)
     turns[unknown] = np.maximum(turns[unknown], _UNKNOWN_SPREAD_RAD)
     return PosePath(path.timestamps_s, positions, spreads, quats, turns)

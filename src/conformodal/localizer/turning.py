@@ -17,12 +17,15 @@ from .evidence import PoseMeasurement
 from .localizer import Localizer, recognised_only
 
 # Frames in a row without a recognised place, after which every second one is looked at upright: the rotation that was
-# followed may be wrong by then
-_TRUSTED_FRAMES = 5
+# followed may be wrong by then; and after which it is forgotten
+_TRUSTED_FRAMES, _REMEMBERED_FRAMES = 5, 60
 
 
 class TurnTracker:
-    """Dead reckoning of the camera's rotation from the last recognised place, frame by frame of one recording."""
+    """Dead reckoning of the camera's rotation from the last recognised place, frame by frame of one recording.
+
+    As in the filter, poses are taken for the camera's own: a mount that turns little changes a roll little.
+    """
 
     def __init__(self, localizer: Localizer) -> None:
         self._localizer = localizer
@@ -48,6 +51,8 @@ class TurnTracker:
         """Take the estimates of that image: a recognised place is where dead reckoning starts again."""
         recognised = recognised_only(estimates)
         self._unrecognised += 1
+        if self._unrecognised > _REMEMBERED_FRAMES:
+            self._position_xyz = None
         if recognised:
             best = max(recognised, key=lambda one: one.inlier_probability)
             self._position_xyz, self._unrecognised = best.position_xyz, 0

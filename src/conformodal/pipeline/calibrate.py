@@ -18,7 +18,7 @@ from conformodal.features.backbone import Backbone
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.local import QualityRange
 from conformodal.geometry import RelativeMotion
-from conformodal.io import Disturbance, Recording
+from conformodal.io import Disturbance, Recording, SplitKind
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
 from conformodal.localizer.localizer import Beliefs, Localizer, belief_cells
@@ -62,7 +62,7 @@ def calibrate_regions(
 ) -> CalibratedRegions:
     """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone.
 
-    `motions` are those between held-out frames where stretches or recordings calibrate.
+    `motions` are those between held-out frames.
     """
     pairs = list(zip(folds.folds, localizers, strict=True))
     for fold, localizer in pairs:
@@ -110,19 +110,20 @@ def _look_turned(
     beliefs: Beliefs,
 ) -> Beliefs:
     """The beliefs about held-out frames, each stretch looked at as a stream: images that are rolled are turned."""
+    turned: dict[int, Beliefs] = {}
     for rows in rows_by_label(units[held_out]):
         turns = TurnTracker(localizer)
         for row in rows.tolist():
-            frame = int(held_out[row])
+            raise_if_cancelled()
+            frame, estimates = int(held_out[row]), beliefs.estimates[row]
             turn = turns.next_turn(motions[frame])
             if turn:
                 [upright] = data.local_features(np.array([frame]))
                 local = turned_features(data.sequence, frame, data.detector, turn, upright)
-                evidence = FrameEvidence(data.features[frame : frame + 1], [local])
-                beliefs = beliefs.replaced(row, localizer.beliefs(evidence))
-            turns.observe(beliefs.estimates[row])
-        raise_if_cancelled()
-    return beliefs
+                turned[row] = localizer.beliefs(FrameEvidence(data.features[frame : frame + 1], [local]))
+                [estimates] = turned[row].estimates
+            turns.observe(estimates)
+    return beliefs.replaced(turned)
 
 
 def _out_of_range(localizer: Localizer, beliefs: Beliefs) -> BoolArray:
@@ -231,16 +232,20 @@ def calibrate_paths(
     calibrated: CalibratedRegions,
     prior: MotionPrior,
     motions: dict[int, RelativeMotion | None],
+    kind: SplitKind,
 ) -> dict[str, PathRule]:
-    """Rules of regions from posteriors, by path. `motions` are those between held-out frames.
+    """Rules of regions from posteriors, by path. `motions` are those between held-out frames of a split of this kind.
 
     Each stretch or recording that calibrates is run as a stream, at the recording's rate, by sources that had not seen
     it. The guarantee, for a random frame of a new stretch that is run from its first frame, is approximate: the motion
     prior and the cells know the held-out poses.
 
-    Where single frames calibrate, the held-out ones of each recording are a stream. What they calibrate is a stream of
-    other frames drawn as they were: one with more frames a second has sharper posteriors.
+    Where single frames calibrate and are drawn like the test frames, the held-out ones of each recording are a stream.
+    They calibrate streams of about as many other frames drawn so: with more frames a second, posteriors are sharper.
+    Where frames calibrate but stretches are held out, there are no such rules.
     """
+    if folds.units is None and kind is not SplitKind.INTERLEAVED:
+        return {}
     rules, units = calibrated.rules, folds.units
     streams = sequence.recording if units is None else units
     scored: dict[str, list[_Scored]] = {path: [] for path in PATHS}

@@ -209,7 +209,7 @@ class VisualOdometry(Odometry):
         motion = self._front_end.measure(grey)
         local_features = []
         if self.model.looks_at_local_features:
-            turn = 0.0 if self.model.detector.rotation_invariant else self._turns.next_turn(motion)
+            turn = self._turns.next_turn(motion) if self.model.turns_images else 0.0
             local_features = [extract_local_features(grey, self.model.camera, self.model.detector, turn)]
             if self._usable_s is not None:
                 flow = affine_flow(self._front_end.tracker.step, timestamp_s - self._usable_s, self.model.camera)
@@ -229,7 +229,7 @@ class VisualOdometry(Odometry):
         problems = [] if motion is None or motion.reliable else [str(motion.status)]
         if evidence is EvidenceType.UNKNOWN:
             problems.append(f"like no place that is known (p = {known_p:.2g})")
-        elif self.model.novelty is not None and known_p <= (1 + _ROUNDING) * self.model.novelty.least_p:
+        elif known_p <= self._least_p:
             problems.append(f"recognised more weakly than every frame that calibrates (p = {known_p:.2g})")
         if best.probability < RELIABLE:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
@@ -259,6 +259,13 @@ class VisualOdometry(Odometry):
             corners=self._front_end.corners,
             revise=partial(_revised, self._filter.window(), self.model.prior),
         )
+
+    @property
+    def _least_p(self) -> float:
+        """The p-value of an image that is recognised more weakly than every frame that calibrates."""
+        novelty = self.model.novelty
+        least = 0.0 if novelty is None else (novelty.matched or novelty.test).least_p
+        return min(self.model.rules.level, (1 + _ROUNDING) * least)
 
     def _doubts(self, region: PoseRegions, pose: Trajectory) -> list[str]:
         """Why a calibrated region does not vouch for a pose."""

@@ -40,7 +40,8 @@ _PATHS_OF_UNITS = (
 )
 _PATHS_OF_FRAMES = (
     "Regions from posteriors are calibrated on the stream of the frames that were held out at random. The guarantee is "
-    "about another stream of random frames, such as the test part; posteriors of a video at a higher rate are sharper."
+    "about a stream of as many other frames drawn so, such as the test part, and approximate: posteriors of a stream "
+    "with more frames a second, such as a video, are sharper, and nothing is guaranteed for it."
 )
 
 

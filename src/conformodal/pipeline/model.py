@@ -224,6 +224,14 @@ class PoseModel:
         return self.rules.recognised is not None
 
     @property
+    def turns_images(self) -> bool:
+        """Whether images are turned by the roll that was followed so far.
+
+        Not where random frames calibrate: these are looked at one by one, without those before.
+        """
+        return not self.detector.rotation_invariant and self.calibration.units_ is not None
+
+    @property
     def landmarks(self) -> LandmarkSource | None:
         """The source by PnP on landmarks, or None."""
         return next((one for one in self.localizer.sources if isinstance(one, LandmarkSource)), None)

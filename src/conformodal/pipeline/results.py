@@ -141,7 +141,7 @@ class ResultsWriter:
     """Writes ``regions.jsonl``, ``trajectory.tum`` (the answer), ``methods/NAME.tum`` and ``truth.tum`` as frames come.
 
     A context: a file has ``.part`` behind its name until :meth:`publish` puts all of them in the place of an earlier
-    run's at once. What a run that is killed had written stays in these; nothing else of it does.
+    run's. What a run that is killed had written stays in these; nothing else of it does.
     """
 
     def __init__(self, folder: Path, answer: str = METHODS[0]) -> None:
@@ -167,11 +167,12 @@ class ResultsWriter:
         """Put all files of the run, and its metrics, in the place of an earlier run's; what was made from that goes.
 
         A page that was written to :meth:`unfinished` beforehand goes with them. Nothing of the earlier run is touched
-        before all files of this one are complete.
+        before all files of this one are complete. Its metrics are replaced last: until then they name other files than
+        there are, and :func:`read_run` refuses the folder.
         """
         self._close()
         write_whole(self.unfinished(METRICS), _metrics_text(metrics))
-        new = [name for name in (*self._open, PAGE, METRICS) if self.unfinished(name).exists()]
+        new = [name for name in (*self._open, PAGE) if self.unfinished(name).exists()]
         for name in new:
             self.unfinished(name).replace(self.folder / name)
         old = [TRUTH, PAGE]
@@ -179,6 +180,7 @@ class ResultsWriter:
             old += [str(path.relative_to(self.folder)) for path in self.folder.glob(pattern)]
         for name in set(old) - set(new):
             (self.folder / name).unlink(missing_ok=True)
+        self.unfinished(METRICS).replace(self.folder / METRICS)
 
     def unfinished(self, name: str) -> Path:
         """Where a file is until it is published."""

@@ -120,7 +120,9 @@ def train_model(
         features, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
         novelty = PlaceNovelty.fit(features, pieces, data.backbone.config.grid)
         frames_alone = calibrate_regions(sources, folds, localizers, novelty, config, motions)
-        path_rules = calibrate_paths(data.sequence, data.targets, folds, localizers, frames_alone, prior, motions)
+        path_rules = calibrate_paths(
+            data.sequence, data.targets, folds, localizers, frames_alone, prior, motions, data.split.kind
+        )
         regions = calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, frames_alone, progress)
     rules, novelty = regions.rules, regions.novelty
     test = data.split.test

@@ -10,19 +10,19 @@ import numpy as np
 from conformodal.conformal import conformal_rank
 from conformodal.conformal.checks import Alpha
 from conformodal.core.arrays import Float32Array, FloatArray, IntArray, evenly_spread
+from conformodal.core.parallel import in_threads
 from conformodal.core.progress import StageProgress
 from conformodal.core.ranges import as_member
 from conformodal.features.backbone import Backbone
 from conformodal.features.extract import FeatureCache
 from conformodal.features.head import Projection
-from conformodal.features.local import ORB, Detector, match
+from conformodal.features.local import ORB, Detector, extract_local_features, match
 from conformodal.geometry import matrix_from_quat_wxyz
 from conformodal.geometry.adjustment import MAD_OF_NORMAL
 from conformodal.geometry.triangulation import Rays, triangulate
 from conformodal.io import Recording, Split, SplitKind, held_out_together
 from conformodal.io.decoding import grey_image
 from conformodal.localizer.sources.registry import SourceData
-from conformodal.tracking.motions import frame_features
 from conformodal.tracking.submaps import build_submaps
 from conformodal.tracking.tracker import CornerTracker
 
@@ -61,12 +61,8 @@ class TrainingData:
 
     @cached_property
     def depths(self) -> tuple[float, float]:
-        """Median depth in metres and standard deviation of its logarithm, from the training part; or NaN.
-
-        Where frames are too far apart for corners to be tracked, local features are matched instead.
-        """
-        tracked = measure_depths(self.sequence, self.split.train)
-        return tracked if np.isfinite(tracked).all() else match_depths(self.sequence, self.split.train, self.detector)
+        """Median depth in metres and standard deviation of its logarithm, from the training part; or NaN."""
+        return scene_depths(self.sequence, self.split.train, self.detector)
 
     def for_sources(self, config: ModelConfig, progress: StageProgress | None = None) -> SourceData:
         """The data as pose sources see them; local features and projections are cached for the next call."""
@@ -141,6 +137,15 @@ def make_folds(
 # ---- the depth of the scene, learnt from training frames; it gives submaps their scale
 
 
+def scene_depths(sequence: Recording, frames: IntArray, detector: Detector = ORB) -> tuple[float, float]:
+    """Median depth in metres of what the camera sees in `frames`, and spread of its logarithm; NaN if not known.
+
+    Where frames are too far apart for corners to be tracked, local features are matched instead.
+    """
+    tracked = measure_depths(sequence, frames)
+    return tracked if np.isfinite(tracked).all() else match_depths(sequence, frames, detector)
+
+
 def measure_depths(sequence: Recording, frames: IntArray) -> tuple[float, float]:
     """Median depth of corners in metres, and spread of its logarithm, from `frames`; NaN from too few submaps."""
     truth = sequence.require_truth()
@@ -174,10 +179,12 @@ def match_depths(sequence: Recording, frames: IntArray, detector: Detector) -> t
     """As :func:`measure_depths`, from corners that match between training frames that follow each other."""
     camera, poses = sequence.camera, sequence.require_truth().poses_se3
     following = np.flatnonzero(np.diff(sequence.recording[frames]) == 0)
-    depths = []
-    for k in following[evenly_spread(len(following), _PAIRS)].tolist():
-        pair = frames[k : k + 2]
-        here, there = (frame_features(sequence, i, detector) for i in pair.tolist())
+    pairs = [frames[k : k + 2] for k in following[evenly_spread(len(following), _PAIRS)].tolist()]
+    seen = np.unique(pairs).tolist()
+    extracted = in_threads(lambda i: extract_local_features(sequence.image(i), camera, detector), seen)
+    features, depths = dict(zip(seen, extracted, strict=True)), []
+    for pair in pairs:
+        here, there = (features[i] for i in pair.tolist())
         [matches] = match(here.descriptors, [there.descriptors])
         if not len(matches):
             continue

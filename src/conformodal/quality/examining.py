@@ -17,7 +17,7 @@ from conformodal.localizer.evidence import FrameEvidence
 from conformodal.pipeline.guarantee import EvidenceGuarantee, guarantees
 from conformodal.pipeline.identity import identify
 from conformodal.pipeline.model import PoseModel
-from conformodal.pipeline.training_data import measure_depths
+from conformodal.pipeline.training_data import scene_depths
 from conformodal.tracking.motions import frame_features
 
 from .view_coverage import QUALITY, Ambiguity, PoseCoverage, ViewScale, ambiguity, pose_coverage
@@ -92,7 +92,7 @@ def examine(
 def scene_depth(sequence: Recording) -> float:
     """Median depth in metres of what the camera sees, from images and poses; NaN where it cannot be told."""
     with suppress(ImageError, PoseError):
-        return measure_depths(sequence, np.arange(len(sequence)))[0]
+        return scene_depths(sequence, np.arange(len(sequence)))[0]
     return float("nan")
 
 
