@@ -44,6 +44,7 @@ class MondrianConformal(Calibrator):
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, groups: npt.ArrayLike) -> Self:
         """Set one threshold per group; `groups` are (n,) labels: text, numbers or dates."""
         scores = self.score_samples(proba, y)
+        self.warn_ties(scores)
         self.groups_ = as_labels(groups, scores.shape[0])
         self.scores_ = scores
         self._set_thresholds()
