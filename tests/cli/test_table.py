@@ -320,6 +320,14 @@ def test_a_saved_model_predicts_new_rows_by_the_names_of_their_columns(tmp_path,
     for i, parts in enumerate(result["count_intervals"]):
         np.testing.assert_array_equal([[part["low"], part["high"]] for part in parts], regions.intervals(i)[0])
         assert 0 < sum(part["probability"] for part in parts) <= 1 + 1e-9
+    gaps = shuffled.assign(site=shuffled["site"].where(np.arange(15) != 2))
+    (gaps.to_csv if kind == "csv" else gaps.to_parquet)(tmp_path / f"gaps.{kind}", index=False)
+    told = run_ok(
+        "table", "predict", tmp_path / "reg.cm", tmp_path / f"gaps.{kind}", "--out", tmp_path / "gaps.parquet"
+    )
+    assert "site is missing in 1" in told.output
+    ends = parquet.read_table(tmp_path / "gaps.parquet").to_pandas()["count_high"]
+    np.testing.assert_array_equal(ends, np.where(np.arange(15) == 2, np.inf, result["count_high"]))
     run_ok("table", "predict", tmp_path / "reg.cm", tmp_path / f"new.{kind}", "--out", tmp_path / "out.csv")
     text = pd.read_csv(tmp_path / "out.csv")
     assert json.loads(text["count_intervals"][0])[0]["low"] == result["count_low"][0] >= 0

@@ -30,6 +30,7 @@ from .checks import (
     ConformodalTypeError,
     as_alpha,
     as_choice,
+    as_known_labels,
     as_labels,
     as_probabilities,
     as_reals,
@@ -304,9 +305,11 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         For a list of rates, a list of regions: those of a smaller rate hold those of a larger one.
 
         `groups` (n,) are the samples' labels if the regressor was fitted with labels; those of a group that is new, or
-        had too few calibration samples, are unbounded.
+        had too few calibration samples, are unbounded. Those without a label have the largest threshold of all groups,
+        and a :class:`DataWarning` counts them.
         """
         proba, unlike = self._compared(X)
+        self.warn_without_group(groups)
         if isinstance(alpha, (list, tuple, np.ndarray)) and np.ndim(alpha):
             return [self.regions_of(proba, unlike, rate, groups) for rate in alpha]
         return self.regions_of(proba, unlike, alpha, groups)  # type: ignore[arg-type]
@@ -315,9 +318,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self, proba: BinProbabilities, unlike: BoolArray, alpha: Alpha | None, groups: npt.ArrayLike | None
     ) -> Regions:
         """Regions of rows with these probabilities; those of :meth:`compare_rows` are unbounded."""
-        calibrator, labels = self._calibrated(), self._labels(groups, len(proba[0]))
+        calibrator = self._calibrated()
+        self._check_grouped(groups)
         at = calibrator if alpha is None else calibrator.at(alpha)
-        sets = at.predict(*([proba] if labels is None else [proba, labels]))
+        sets = at.predict(*([proba] if groups is None else [proba, groups]))
         return Regions(self.bins_, sets.masks, sets.unbounded | unlike[:, None])
 
     def predict_table(self, table: Any, alpha: Alpha | None = None) -> Any:
@@ -394,11 +398,23 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             )
         return features, values, names
 
-    def _labels(self, groups: npt.ArrayLike | None, n: int) -> AnyArray | None:
-        """Labels (n,) of the samples' groups; None without groups."""
+    def warn_without_group(self, groups: npt.ArrayLike | None) -> None:
+        """Warn of new samples without a label."""
+        if groups is None:
+            return
+        gaps = as_known_labels(groups, len(np.asarray(groups)))[1]
+        if (n := int(np.sum(gaps))) and isinstance(self.calibrator_, MondrianConformal):
+            told = f"{n} of {counted(len(gaps), 'row')} without a group: the largest threshold of all groups holds"
+            warnings.warn(told, DataWarning, stacklevel=3)
+
+    def _check_grouped(self, groups: npt.ArrayLike | None) -> None:
         needed = isinstance(self.calibrator_, MondrianConformal)
         if needed != (groups is not None):
             raise ConformodalError(f"groups {'are needed, as fit had them' if needed else 'must be None, as in fit'}")
+
+    def _labels(self, groups: npt.ArrayLike | None, n: int) -> AnyArray | None:
+        """Labels (n,) of the samples' groups; None without groups."""
+        self._check_grouped(groups)
         return None if groups is None else as_labels(groups, n)
 
     def _calibrate(
