@@ -1,12 +1,16 @@
 """Rows whose coverage is not that of new rows are told; sound tables are not."""
 
+import warnings
 from itertools import permutations
 
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import binom
+from scipy.stats import binom, norm
 from sklearn.datasets import load_diabetes, make_friedman1
+from sklearn.ensemble import ExtraTreesRegressor, HistGradientBoostingRegressor, RandomForestRegressor
+from sklearn.frozen import FrozenEstimator
+from sklearn.linear_model import BayesianRidge
 from sklearn.tree import DecisionTreeClassifier
 
 from conformodal.conformal import ConformalRegressor, DataWarning
@@ -216,3 +220,50 @@ def test_a_coverage_given_for_alpha_is_asked_about():
     tree = DecisionTreeClassifier(min_samples_leaf=5, random_state=0)
     with pytest.warns(DataWarning, match=r"alpha = 0\.95 .*did you mean 0\.05, for 95%"):
         ConformalRegressor(tree, n_bins=8, alpha=0.95).fit(X, y)
+
+
+class Trees(RandomForestRegressor):
+    def predict_quantiles(self, X, levels):
+        return np.quantile([tree.predict(np.asarray(X)) for tree in self.estimators_], levels, axis=0).T
+
+
+class Extra(ExtraTreesRegressor):
+    predict_quantiles = Trees.predict_quantiles
+
+
+class Boosted(HistGradientBoostingRegressor):
+    def predict_quantiles(self, X, levels):
+        return self.predict(X)[:, None] + np.array(levels) - 0.5
+
+
+class Linear(BayesianRidge):
+    def predict_quantiles(self, X, levels):
+        mean, sd = self.predict(np.asarray(X), return_std=True)
+        return norm.ppf(levels, mean[:, None], sd[:, None])
+
+
+MODELS = {
+    "forest": Trees(40, min_samples_leaf=3, random_state=0), "grown forest": Trees(40, random_state=0),
+    "extra trees": Extra(40, random_state=0), "boosting": Boosted(max_iter=400, random_state=0), "linear": Linear(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("framed", [False, True])
+@pytest.mark.parametrize("name", MODELS)
+def test_a_model_that_has_learnt_from_the_calibration_rows_is_told(name, framed):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(4000, 4))
+    y = X[:, 0] + np.sin(2 * X[:, 1]) + rng.normal(size=4000)
+    model = FrozenEstimator(MODELS[name].fit(X[:1500], y[:1500]))
+    held = {}
+    for rows in (slice(0, 1500), slice(1500, 3000)):
+        given = pd.DataFrame(X[rows]) if framed else X[rows]
+        with warnings.catch_warnings(record=True) as words:
+            warnings.simplefilter("always", DataWarning)
+            reg = ConformalRegressor(model, random_state=0).fit(given, y[rows])
+        told = any("learnt from these samples" in str(one.message) for one in words)
+        held[told] = reg.predict_region(X[3000:]).contains(y[3000:]).mean()
+    if name == "linear":  # which fits 1500 rows no closer than others
+        assert held.keys() == {False}
+    else:
+        assert held[True] < 0.8 < 0.87 < held[False]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal, Self
 
@@ -16,7 +17,7 @@ from conformodal.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.words import counted
 
-from .density.encoder import columns_of, columns_where, dense_inputs, has_zone, is_frame, is_time
+from .density.encoder import columns_of, columns_where, dense_inputs, has_zone, is_frame, is_time, rows_of
 from .density.named import most_correlated
 from .scores import row_uniforms
 
@@ -27,6 +28,8 @@ Unlike = Literal["unbounded", "ignore"]
 _CHANCE, _FAR, _TAIL, _FEWEST_IN_TAIL = 3e-3, 10.0, 0.1, 20
 # of a column's numbers at either end, beyond which new ones are counted
 _OUTER = 0.01
+# share of a column's spread by which it is moved, rows that show what follows, and by how much errors then grow
+_MOVED, _FEWEST_TO_MOVE, _GROWN = 0.1, 40, 1.35
 # rows of a forest that stands for the learner
 _MOST_ROWS = 1000
 # rounded targets are equal so many times as often between rows of the same inputs as between those of neighbouring ones
@@ -195,6 +198,48 @@ def _columns(X: Any, text: Any = ()) -> list[Any]:
         return [] if hasattr(X, "tocsr") else columns_of(X, text)
     except (ConformodalError, ValueError, TypeError):
         return []
+
+
+def doubt_seen(medians: Callable[[Any], FloatArray], X: Any, y: FloatArray) -> str:
+    """Why a model seems to have learnt from these rows, or nothing; `medians` predicts (n, d), `y` are (n, d).
+
+    A model is close to values that it has learnt from only at their own inputs: its errors grow as numbers move by a
+    tenth of their spread to either side. What it has not seen is as far from it there as at the inputs themselves.
+    """
+    rows = np.random.default_rng(0).permutation(len(y))[:_MOST_ROWS]
+    X, y = rows_of(X, rows), y[rows]
+    dated = columns_where(X, is_time)
+    numbers = [
+        j
+        for j, column in enumerate(_columns(X))
+        if column.dtype.kind == "f" and j not in dated and np.unique(column).size > _FEWEST_TO_MOVE  # else a grid
+    ]
+    if len(y) < _FEWEST_TO_MOVE or not numbers:
+        return ""
+    there, moved = medians(X), [medians(_moved(X, numbers, sign)) for sign in (1, -1)]
+    errors, pulls = y - there, there - (moved[0] + moved[1]) / 2
+    at, around = np.abs(errors).mean(axis=0), np.abs(errors + pulls).mean(axis=0)
+    j = int(np.argmax(around - _GROWN * at))
+    if around[j] <= _GROWN * at[j]:
+        return ""
+    grown = f"from {at[j]:.3g} to {around[j]:.3g}"
+    return (
+        f"its errors on {counted(len(y), 'calibration sample')} grow {grown} where inputs move by a tenth of their "
+        "spread, so it seems to have learnt from these samples: sets are too small. Give samples that it has not seen"
+    )
+
+
+def _moved(X: Any, numbers: list[int], sign: int) -> Any:
+    """The rows with some numbers moved at random, by a tenth of their standard deviations, to one side or the other."""
+    random, moved = np.random.default_rng(1), X.copy()
+    for j in numbers:
+        values = _columns(X)[j]
+        steps = sign * _MOVED * np.nan_to_num(np.nanstd(values)) * random.normal(size=len(values))
+        if hasattr(moved, "iloc"):
+            moved.isetitem(j, values + steps)
+        else:
+            moved[:, j] = values + steps
+    return moved
 
 
 def doubt_rows(X: Any, y: FloatArray, has_units: bool, in_time: bool) -> list[str]:
