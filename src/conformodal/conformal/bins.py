@@ -225,7 +225,7 @@ class QuantileBins:
             each = counted(draws.shape[1], "draw")
             warnings.warn(
                 f"samples: {each} per row cannot show how far values spread: one gives whole ranges, two or three give "
-                "sets twice as long as 20. Give 20 or more",
+                "longer sets than need be. Give 20 or more",
                 stacklevel=2,
             )
         n_levels = max(2, round(2 * draws.shape[1] ** 0.4))
