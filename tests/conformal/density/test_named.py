@@ -122,9 +122,9 @@ def sets_of(X, y, monkeypatch, smooth):
     with monkeypatch.context() as patched:
         if not smooth:
             patched.setattr(named, "smooth_member", lambda *args: None)
-        reg = ConformalRegressor(random_state=0).fit(X[:600], y[:600])
-    regions = reg.predict_region(X[600:])
-    return reg.estimators_[0].location_, regions, regions.contains(y[600:]).mean()
+        reg = ConformalRegressor(calibration_size=0.4, random_state=0).fit(X[:1000], y[:1000])
+    regions = reg.predict_region(X[1000:])
+    return reg.estimators_[0].location_, regions, regions.contains(y[1000:]).mean()
 
 
 def test_a_smooth_target_has_shorter_sets_by_the_smooth_member(monkeypatch):
@@ -133,7 +133,7 @@ def test_a_smooth_target_has_shorter_sets_by_the_smooth_member(monkeypatch):
     without, longer, _ = sets_of(X, y, monkeypatch, False)
     assert location.weights_[0] > 0.5
     assert location.weights_.size == without.weights_.size + 1
-    assert regions.length.mean() < 0.92 * longer.length.mean()
+    assert regions.length.mean() < 0.85 * longer.length.mean()
     assert abs(held - 0.9) < 0.05
 
 
