@@ -39,6 +39,8 @@ UNITS = {
     "relative_motion": Unit("relative_motion.py", 4),
     "joint": Unit("joint.py", 4),
     "conditional": Unit("conditional.py", 2),
+    "smooth_member": Unit("smooth_member.py", 5),
+    "table_warnings": Unit("table_warnings.py", 8),
     "peers": Unit("peers/run.py --measure", 35, 2),
     "growth": Unit("growth.py", 20, 2),
     "table1": Unit("table1.py --seeds 1 --first-seed 30", 28, 2),

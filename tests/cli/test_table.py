@@ -320,6 +320,14 @@ def test_a_saved_model_predicts_new_rows_by_the_names_of_their_columns(tmp_path,
     for i, parts in enumerate(result["count_intervals"]):
         np.testing.assert_array_equal([[part["low"], part["high"]] for part in parts], regions.intervals(i)[0])
         assert 0 < sum(part["probability"] for part in parts) <= 1 + 1e-9
+    gaps = shuffled.assign(site=shuffled["site"].where(np.arange(15) != 2))
+    (gaps.to_csv if kind == "csv" else gaps.to_parquet)(tmp_path / f"gaps.{kind}", index=False)
+    told = run_ok(
+        "table", "predict", tmp_path / "reg.cm", tmp_path / f"gaps.{kind}", "--out", tmp_path / "gaps.parquet"
+    )
+    assert "site is missing in 1" in told.output
+    ends = parquet.read_table(tmp_path / "gaps.parquet").to_pandas()["count_high"]
+    np.testing.assert_array_equal(ends, np.where(np.arange(15) == 2, np.inf, result["count_high"]))
     run_ok("table", "predict", tmp_path / "reg.cm", tmp_path / f"new.{kind}", "--out", tmp_path / "out.csv")
     text = pd.read_csv(tmp_path / "out.csv")
     assert json.loads(text["count_intervals"][0])[0]["low"] == result["count_low"][0] >= 0
@@ -351,3 +359,56 @@ def test_last_rows_that_differ_are_told(tmp_path):
     rows = [f"{i % 7},{i % 7 + 0.1 * (i % 11) + 50 * (i >= 240)}" for i in range(300)]
     (tmp_path / "a.csv").write_text("\n".join(["x,y", *rows]))
     assert "the data seem to drift" in run_ok("table", tmp_path / "a.csv", "--target", "y", "--split", "time").output
+
+
+MARKS = {
+    "space that does not break": ("a;y\n0,5;1\u00a0234,50\n0,25;999,50\n", [1234.5, 999.5]),
+    "narrow space": ("a;y\n0,5;1\u202f234\u202f567,5\n0,25;999,50\n", [1234567.5, 999.5]),
+    "minus sign": ("a,y\n0.5,\u22121.25\n0.25,2.5\n", [-1.25, 2.5]),
+}
+
+
+@pytest.mark.parametrize("mark", MARKS)
+@pytest.mark.parametrize("times", [1, 40])
+def test_typographic_marks_of_few_numbers_are_read(tmp_path, mark, times):
+    text, values = MARKS[mark]
+    head, first, second = text.splitlines(keepends=True)
+    (tmp_path / "t.csv").write_text(head + first + second * times, encoding="utf-8")
+    frame, notes = read_table(tmp_path / "t.csv")
+    assert frame["y"].tolist() == [values[0]] + [values[1]] * times
+    assert not [note for note in notes if "missing" in note]
+
+
+WORDS = {
+    "a label": (["None", "A", "B"], ["None", "A", "B"], "'None' in 1 cell is a label"),
+    "a gap beside gaps": (["NA", "", "B"], [None, None, "B"], "'NA' in 1 cell is taken as missing"),
+    "a gap in numbers": (["NA", "1", "2"], [None, 1.0, 2.0], None),
+    "nothing else": (["NA", "NA", "NA"], [None, None, None], "is taken as missing"),
+}
+
+
+@pytest.mark.parametrize("case", WORDS)
+def test_words_for_missing_values_are_labels_where_all_cells_are_text(tmp_path, case):
+    cells, expected, told = WORDS[case]
+    (tmp_path / "t.csv").write_text("x,v\n" + "".join(f"{k},{cell}\n" for k, cell in enumerate(cells)))
+    frame, notes = read_table(tmp_path / "t.csv")
+    assert [None if pd.isna(value) else value for value in frame["v"]] == expected
+    assert [note for note in notes if note.startswith("v: ")] == [note for note in notes if told and told in note]
+    again, _ = read_table(tmp_path / "t.csv", CsvFormat(labels=["v"], verbatim=["x"]))
+    assert again["v"].notna().sum() == {"a gap in numbers": 2, "a gap beside gaps": 2}.get(case, 3)
+    assert again["x"].tolist() == ["0", "1", "2"]
+
+
+def test_identifiers_are_copied_as_they_are_written(tmp_path, monkeypatch):
+    pytest.importorskip("skops")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    shorten_fits(monkeypatch)
+    rng = np.random.default_rng(0)
+    ids = {"code": [f"{k:05d}" for k in range(60)], "order": [str(2**53 + k) for k in range(60)]}
+    table = pd.DataFrame(ids | {"x": rng.normal(size=60).round(3)}).assign(y=lambda t: 2 * t["x"])
+    table.to_csv(tmp_path / "t.csv", index=False)
+    options = ("--target", "y", "--exclude", "code,order", "--model", tmp_path / "m.cm")
+    run_ok("table", "fit", tmp_path / "t.csv", *options)
+    run_ok("table", "predict", tmp_path / "m.cm", tmp_path / "t.csv", "--out", tmp_path / "r.parquet")
+    result = parquet.read_table(tmp_path / "r.parquet").to_pandas()
+    assert {name: result[name].tolist() for name in ids} == ids

@@ -276,6 +276,23 @@ def test_rows_unlike_those_of_training_are_counted_and_claim_no_more_than_is_kno
     assert not usual.unbounded.any()
 
 
+def test_rows_without_a_group_are_counted_and_answered():
+    rng = np.random.default_rng(0)
+    X, site = pd.DataFrame({"x": rng.normal(size=400)}), pd.Series(rng.choice(["a", "b"], 400), name="site")
+    y = X.x + np.where(site == "a", 0.1, 1.0) * rng.normal(size=400)
+    reg = tree().fit(X, y, groups=site)
+    gaps = site.where(np.arange(400) % 40 > 0)
+    with pytest.warns(DataWarning, match="10 of 400 rows without a group"):
+        regions = reg.predict_region(X, groups=gaps)
+    usual, noisy = (reg.predict_region(X, groups=of) for of in (site, np.full(400, "b")))
+    for k in range(400):
+        np.testing.assert_array_equal(regions.intervals(k)[0], (usual if k % 40 else noisy).intervals(k)[0])
+    pytest.importorskip("pyarrow")
+    with pytest.warns(DataWarning, match="10 of 400 rows without a group"):
+        table = reg.predict_table(X.assign(site=gaps))
+    np.testing.assert_array_equal(table.filter(like="_low").to_numpy()[:, 0], regions.hull[:, 0, 0])
+
+
 def test_a_time_in_another_time_zone_is_the_same_time():
     rng, hours = np.random.default_rng(0), pd.date_range("2024-03-01", periods=300, freq="h", tz="UTC")
     order = rng.permutation(300)

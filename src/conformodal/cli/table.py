@@ -138,7 +138,7 @@ def fit(
         others = frame.drop(columns=[*X, *y])
         reg.file_format_ = {
             "identifiers": [str(name) for name in others if others[name].nunique() > 1],
-            "csv": {**written, "day_first": frame.attrs["day_first"]},
+            "csv": {**written, "day_first": frame.attrs["day_first"], "labels": frame.attrs["labels"]},
         }
         reg.save(model)
         report_line(f"regressor: {model.resolve()}")

@@ -32,6 +32,8 @@ _COMPACT = r"^(\d{4})(\d{2})(\d{2})T(\d{2})(\d{2})(\d{2})$"  # ISO 8601 without 
 _GROUPED = r"[-+]?[1-9]\d{0,2}([.,' ])\d{3}(?:\1\d{3})*(?:[.,]\d*)?"  # marks between thousands
 _NUMBER = r"[-+]?[\d.,]*\d[\d.,]*(e[-+]?\d+)?"
 _FEWEST_LINES = 3
+_WORDS = ("NA", "N/A", "n/a", "NaN", "nan", "-NaN", "-nan", "NULL", "null", "None", "<NA>", "#NA", "#N/A")
+_SPACES, _MINUS = "\u00a0\u2007\u2009\u202f", "\u2212"  # between thousands, and before negative numbers
 _CODES = (-99, 99, -999, 999, -9999, 9999, -99999, 99999)  # often stand for missing values
 
 
@@ -48,6 +50,8 @@ class CsvFormat:
     thousands: str | None = None
     na_values: Sequence[str] = ()
     day_first: Sequence[str] = ()  # columns of dates whose days come before their months where nothing else tells
+    labels: Sequence[str] = ()  # columns of text in which "None" and "NA" are labels
+    verbatim: Sequence[str] = ()  # columns that stay the text that is written, such as identifiers
 
 
 def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFrame, list[str]]:
@@ -56,7 +60,8 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
     Commas, semicolons, tabs or bars separate; UTF-8, UTF-16 and the encoding of Western Windows are read. A column
     holds numbers or dates if 95 % of its values do; the others are then missing. The mark before decimals is that of
     most cells; where none leaves no doubt, a comma beside semicolons, else a point. Marks between thousands are read
-    where `written` names them, and refused elsewhere.
+    where `written` names them, or where they are spaces that do not break, and refused elsewhere. Words such as NA are
+    labels in a column of text without empty cells, and missing values elsewhere.
     """
     if file.suffix == ".parquet":
         return _read_parquet(file)
@@ -76,9 +81,16 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
         notes.append(
             f"{number} of several lines, such as line {cells.index[joined[0]]}; a quote that is not closed joins rows"
         )
+    raw = cells
+    words = _each(cells, lambda cell: cell.isin(_WORDS)).astype(np.bool_)
+    cells = cells.mask(words) if words.any() else cells
     decimal, columns, day_first = written.decimal or _decimal_mark(cells, separator), {}, list[str]()
+    labels = list[str]()
     plain = _plain_numbers(cells) if decimal == "." and not written.thousands else {}
     for name, column in cells.items():
+        if name in written.verbatim:
+            columns[name] = raw[name].astype("str")
+            continue
         if name in plain:
             columns[name] = plain[name]
             notes += [f"{name}: {note}" for note in _doubts(column, plain[name], written)]
@@ -87,7 +99,11 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
         if values is None:
             values = _dates(column, separator, str(name) in written.day_first)
             day_first += [] if values is None or not values.attrs["day_first"] else [str(name)]
-        columns[name] = values = column.astype("str") if values is None else values
+        if values is None:
+            values, more = _text_column(raw[name], column, name in written.labels)
+            labels += [str(name)] if values.notna().sum() > column.notna().sum() else []
+            notes += more
+        columns[name] = values
         if values.dtype.kind == "M":
             at = (values.dt.day != values.dt.month).where(values.notna(), False).idxmax()
             notes.append(f"{name}: dates, of which {column[at]!r} is read as {values[at]:%Y-%m-%d}")
@@ -96,8 +112,19 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
         if len(lost := column[values.isna() & column.notna()]):
             notes.append(f"{name}: {counted(len(lost), 'value')} taken as missing, such as {lost.iloc[0]!r}")
     frame = pd.DataFrame(columns, cells.index)
-    frame.attrs["day_first"] = day_first
+    frame.attrs["day_first"], frame.attrs["labels"] = day_first, labels
     return frame, notes
+
+
+def _text_column(raw: pd.Series, column: pd.Series, labelled: bool) -> tuple[pd.Series, list[str]]:
+    """A column of text, and a note on words such as NA: labels if the `raw` column has other text and no empty cell."""
+    words = raw[column.isna() & raw.notna()]
+    if words.empty:
+        return column.astype("str"), []
+    told = f"{column.name}: {words.iloc[0]!r} in {counted(len(words), 'cell')}"
+    if labelled or (raw.notna().all() and column.notna().any()):
+        return raw.astype("str"), [f"{told} is a label; --na-values={words.iloc[0]} if it means missing"]
+    return column.astype("str"), [f"{told} is taken as missing"]
 
 
 def _read_parquet(file: Path) -> tuple[pd.DataFrame, list[str]]:
@@ -111,7 +138,7 @@ def _read_parquet(file: Path) -> tuple[pd.DataFrame, list[str]]:
             frame[name] = pd.to_datetime(column, utc=True).dt.tz_localize(None)
         else:
             frame[name] = pd.Series(as_column(column, name)).replace("", None)
-    frame.attrs["day_first"] = []
+    frame.attrs["day_first"], frame.attrs["labels"] = [], []
     return frame, [f"{file}: {counted(len(frame), 'row')}, {counted(frame.shape[1], 'column')}"]
 
 
@@ -129,7 +156,13 @@ def _lines(text: str, above: int, separator: str, n: int) -> IntArray:
 
 def _rows(text: str, file: Path, shape: dict[str, Any], na_values: Sequence[str]) -> pd.DataFrame:
     """The text of all cells, names among them, without blanks around it."""
-    shape |= {"na_values": list(na_values), "header": None, "skipinitialspace": True, "index_col": False}
+    shape |= {
+        "keep_default_na": False,
+        "na_values": ["", *na_values],
+        "header": None,
+        "skipinitialspace": True,
+        "index_col": False,
+    }
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # of rows longer than those looked at
@@ -235,6 +268,7 @@ def _plain_numbers(cells: pd.DataFrame) -> dict[Any, FloatArray]:
 def _numbers(file: Path, column: pd.Series, decimal: str, thousands: str | None) -> pd.Series | None:
     """The numbers of a column of text; None if it holds none."""
     given = column.dropna()
+    given = given.str.replace(rf"(?<=\d)[{_SPACES}](?=\d{{3}}(?!\d))", "", regex=True).str.replace(_MINUS, "-")
     grouped = given.str.fullmatch(_GROUPED)
     digits = given
     if thousands:

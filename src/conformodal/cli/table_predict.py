@@ -42,7 +42,8 @@ def predict(
         import_module("pyarrow")
     reg = ConformalRegressor.load(model)
     how = getattr(reg, "file_format_", {})
-    names, n_rows, chunks = _open(file, reg, CsvFormat("\t" if sep == r"\t" else sep, **how.get("csv", {})))
+    written = {**how.get("csv", {}), "verbatim": how.get("identifiers", ())}
+    names, n_rows, chunks = _open(file, reg, CsvFormat("\t" if sep == r"\t" else sep, **written))
     if not n_rows:
         raise TableError(f"{file}: holds no rows")
     with _naming(file):

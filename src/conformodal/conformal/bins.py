@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Self
 
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.ranges import RANGES, Range
+from conformodal.core.words import counted
 
 from .checks import as_doubles, as_finite, as_targets, brief, check_number, not_calibrated
 
@@ -20,6 +22,7 @@ _CONSTANT_HALF_WIDTH = 1e-6
 _LEAST_SIGMA = 1e-100
 _LEAST_WIDTH = 1e-9  # of a distribution, as a share of the range of all bins
 _SHARE_OF_RANGE = Range(0)
+_TOO_FEW_DRAWS = 3  # of a distribution
 
 
 class QuantileBins:
@@ -167,14 +170,22 @@ class QuantileBins:
             codes[codes[:, j] > e.size - 2, j] = -1
         return codes
 
-    def proba_from_cdf(self, cdf: Callable[[float], npt.ArrayLike], target: int = 0) -> FloatArray:
+    def proba_from_cdf(
+        self, cdf: Callable[[float], npt.ArrayLike], target: int = 0, sf: Callable[[float], npt.ArrayLike] | None = None
+    ) -> FloatArray:
         """Probabilities (n, K) of one target's bins; ``cdf(y)`` gives, for n samples, that of values up to `y`.
 
-        Outer bins get what lies beyond them.
+        Outer bins get what lies beyond them. Where ``cdf`` rounds to one, far above the median, all bins have
+        probability zero and are equally bad; give the survival function ``sf``, as scipy.stats has it, to tell them
+        apart.
         """
-        edges = self._edges()[target]
-        below = [as_finite(cdf(float(edge)), "cdf", "(n,)") for edge in edges[1:-1]]
-        return self._differences(np.stack(below, axis=1) if below else np.empty((len(np.asarray(cdf(0.0))), 0)))
+        edges = self._edges()[target][1:-1]
+        if not edges.size:
+            return np.ones((len(np.asarray(cdf(0.0))), 1))
+        below = np.stack([as_finite(cdf(float(edge)), "cdf", "(n,)") for edge in edges], axis=1)
+        if sf is None:
+            return _differences(below, 1 - below)
+        return _differences(below, np.stack([as_finite(sf(float(edge)), "sf", "(n,)") for edge in edges], axis=1))
 
     def proba_from_quantiles(self, levels: npt.ArrayLike, values: npt.ArrayLike, target: int = 0) -> FloatArray:
         """Probabilities (n, K) of one target's bins from quantiles, `values` (n, L) at the `levels` (L,).
@@ -189,6 +200,7 @@ class QuantileBins:
             )
         edges = self._edges()[target][1:-1]
         below = np.stack([np.interp(edges, row, at) for row in given]) if len(given) else np.empty((0, edges.size))
+        above = 1 - below
         for sign, end, inner, mass, step in (
             (1, 0, 1, at[0], at[1] - at[0]),
             (-1, -1, -2, 1 - at[-1], at[-1] - at[-2]),
@@ -198,23 +210,27 @@ class QuantileBins:
             width = np.where(given[:, inner] == given[:, end], usual, np.abs(given[:, inner] - given[:, end]))
             beyond = sign * (given[:, [end]] - edges) / (width * mass / step)[:, None]
             tail = mass * np.exp(-np.maximum(beyond, 0))
-            below = np.where(beyond > 0, tail if sign == 1 else 1 - tail, below)
-        return self._differences(below)
+            near, far = (below, above) if sign == 1 else (above, below)
+            near[beyond > 0], far[beyond > 0] = tail[beyond > 0], 1 - tail[beyond > 0]
+        return _differences(below, above)
 
     def proba_from_samples(self, samples: npt.ArrayLike, target: int = 0) -> FloatArray:
         """Probabilities (n, K) of one target's bins from draws (n, S) of each sample's distribution.
 
         The more draws, the more of their quantiles are taken: few smooth the chance out of which values were drawn.
+        Up to three do not show how far values spread, and a warning says so.
         """
         draws = as_finite(samples, "samples", "(n, S)")
+        if draws.shape[1] <= _TOO_FEW_DRAWS:
+            each = counted(draws.shape[1], "draw")
+            warnings.warn(
+                f"samples: {each} per row cannot show how far values spread: one gives whole ranges, two or three give "
+                "longer sets than need be. Give 20 or more",
+                stacklevel=2,
+            )
         n_levels = max(2, round(2 * draws.shape[1] ** 0.4))
         levels = (np.arange(n_levels) + 0.5) / n_levels
         return self.proba_from_quantiles(levels, np.quantile(draws, levels, axis=1).T, target)
-
-    def _differences(self, below: FloatArray) -> FloatArray:
-        """Probabilities (n, K) from those of values up to the inner edges (n, K - 1)."""
-        whole = np.pad(np.clip(below, 0, 1), ((0, 0), (1, 1)), constant_values=((0, 0), (0, 1)))
-        return np.asarray(np.maximum(np.diff(whole, axis=1), 0))
 
     def soft_targets(self, y: npt.ArrayLike, sigma_bins: float) -> list[FloatArray]:
         """Order-aware class targets: a Gaussian over bin numbers around `y`; d arrays (n, K_d) whose rows sum to one.
@@ -244,6 +260,17 @@ def _check_edges(edges: FloatArray, what: str) -> None:
         widths = np.diff(edges) if edges.ndim == 1 else np.empty(0)
     if widths.size == 0 or not (np.isfinite(widths) & (widths > 0)).all():
         raise ConformodalError(f"{what}: must be at least two, finite and strictly increasing, got {brief(edges)}")
+
+
+def _differences(below: FloatArray, above: FloatArray) -> FloatArray:
+    """Probabilities (n, K) of bins from those of values below and above the inner edges (n, K - 1).
+
+    Above the median those above are differenced: those below round to one some 36 e-folds from there.
+    """
+    lower = np.pad(np.clip(below, 0, 1), ((0, 0), (1, 1)), constant_values=((0, 0), (0, 1)))
+    upper = np.pad(np.clip(above, 0, 1), ((0, 0), (1, 1)), constant_values=((0, 0), (1, 0)))
+    steps = np.where(lower[:, :-1] > 0.5, -np.diff(upper, axis=1), np.diff(lower, axis=1))
+    return np.asarray(np.maximum(steps, 0))
 
 
 def nearest_bins(values: FloatArray, edges: FloatArray) -> IntArray:

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias, get_args
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import AnyArray, FloatArray, IntArray, RealArray
+from conformodal.core.arrays import AnyArray, BoolArray, FloatArray, IntArray, RealArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.ranges import Range
 
@@ -193,6 +193,18 @@ def as_labels(labels: npt.ArrayLike, n: int, name: str = "groups") -> AnyArray:
         if all(isinstance(value, kind) and not is_missing(value) for value in values):
             return np.array(values, dtype=dtype)
     raise ConformodalError(f"{name} must be text, numbers or dates, all of one kind, none missing; got {brief(values)}")
+
+
+def as_known_labels(labels: npt.ArrayLike, n: int, name: str = "groups") -> tuple[AnyArray, BoolArray]:
+    """:func:`as_labels` of new samples, of which some may have none; and whether each has none (n,)."""
+    arr = np.asarray(labels, dtype=object if isinstance(labels, (list, tuple)) else None)
+    if arr.shape != (n,) or arr.dtype.kind not in "OfM":
+        return as_labels(labels, n, name), np.zeros(n, dtype=np.bool_)
+    gaps = np.array([is_missing(value) for value in arr.tolist()], dtype=np.bool_)
+    known = as_labels(labels if not gaps.any() else arr[~gaps], int((~gaps).sum()), name)
+    values = np.zeros(n, dtype=known.dtype)
+    values[~gaps] = known
+    return values, gaps
 
 
 def factorise(labels: AnyArray) -> tuple[list[Any], IntArray]:

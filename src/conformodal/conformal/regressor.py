@@ -12,6 +12,7 @@ import numpy.typing as npt
 from scipy.sparse import issparse
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.exceptions import NotFittedError
+from sklearn.frozen import FrozenEstimator
 from sklearn.utils import check_random_state, get_tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
@@ -30,6 +31,7 @@ from .checks import (
     ConformodalTypeError,
     as_alpha,
     as_choice,
+    as_known_labels,
     as_labels,
     as_probabilities,
     as_reals,
@@ -45,7 +47,7 @@ from .density.encoder import is_frame, named_targets, numpy_columns, rows_of
 from .density.learners import as_learner, fit_target, predict_proba, split_off, split_units
 from .density.mixture import as_sample_weight
 from .diagnosis import Diagnosis, diagnose
-from .doubts import DataWarning, TableMemory, Unlike, doubt_rows
+from .doubts import DataWarning, TableMemory, Unlike, doubt_rows, doubt_seen
 from .predictive import PredictiveDensity
 from .regions import Regions
 from .saving import load_regressor, save_regressor
@@ -81,7 +83,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         with shorter sets; any classifier with ``predict_proba``, fitted five times on bin numbers without every fifth
         row, averaged, and smoothed over bins as the left-out rows require; a regressor that predicts distributions as
         NGBoost, quantile-forest and TabICL do, or by ``predict_quantiles(X, levels)``; or an object with
-        ``fit_bins(X, y, edges)`` and ``predict_proba``. One in scikit-learn's ``FrozenEstimator`` is not fitted again.
+        ``fit_bins(X, y, edges)`` and ``predict_proba``. One in scikit-learn's ``FrozenEstimator`` is not fitted again:
+        give ``fit`` samples that it has not seen, else sets are too small; a :class:`DataWarning` tells if it seems so.
     n_bins
         Bins per target. None: 200 for an object with ``fit_bins`` (these smooth over bins), 50 for a classifier.
     alpha
@@ -304,9 +307,11 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         For a list of rates, a list of regions: those of a smaller rate hold those of a larger one.
 
         `groups` (n,) are the samples' labels if the regressor was fitted with labels; those of a group that is new, or
-        had too few calibration samples, are unbounded.
+        had too few calibration samples, are unbounded. Those without a label have the largest threshold of all groups,
+        and a :class:`DataWarning` counts them.
         """
         proba, unlike = self._compared(X)
+        self.warn_without_group(groups)
         if isinstance(alpha, (list, tuple, np.ndarray)) and np.ndim(alpha):
             return [self.regions_of(proba, unlike, rate, groups) for rate in alpha]
         return self.regions_of(proba, unlike, alpha, groups)  # type: ignore[arg-type]
@@ -315,9 +320,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self, proba: BinProbabilities, unlike: BoolArray, alpha: Alpha | None, groups: npt.ArrayLike | None
     ) -> Regions:
         """Regions of rows with these probabilities; those of :meth:`compare_rows` are unbounded."""
-        calibrator, labels = self._calibrated(), self._labels(groups, len(proba[0]))
+        calibrator = self._calibrated()
+        self._check_grouped(groups)
         at = calibrator if alpha is None else calibrator.at(alpha)
-        sets = at.predict(*([proba] if labels is None else [proba, labels]))
+        sets = at.predict(*([proba] if groups is None else [proba, groups]))
         return Regions(self.bins_, sets.masks, sets.unbounded | unlike[:, None])
 
     def predict_table(self, table: Any, alpha: Alpha | None = None) -> Any:
@@ -394,17 +400,32 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             )
         return features, values, names
 
-    def _labels(self, groups: npt.ArrayLike | None, n: int) -> AnyArray | None:
-        """Labels (n,) of the samples' groups; None without groups."""
+    def warn_without_group(self, groups: npt.ArrayLike | None) -> None:
+        """Warn of new samples without a label."""
+        if groups is None:
+            return
+        gaps = as_known_labels(groups, len(np.asarray(groups)))[1]
+        if (n := int(np.sum(gaps))) and isinstance(self.calibrator_, MondrianConformal):
+            told = f"{n} of {counted(len(gaps), 'row')} without a group: the largest threshold of all groups holds"
+            warnings.warn(told, DataWarning, stacklevel=3)
+
+    def _check_grouped(self, groups: npt.ArrayLike | None) -> None:
         needed = isinstance(self.calibrator_, MondrianConformal)
         if needed != (groups is not None):
             raise ConformodalError(f"groups {'are needed, as fit had them' if needed else 'must be None, as in fit'}")
+
+    def _labels(self, groups: npt.ArrayLike | None, n: int) -> AnyArray | None:
+        """Labels (n,) of the samples' groups; None without groups."""
+        self._check_grouped(groups)
         return None if groups is None else as_labels(groups, n)
 
     def _calibrate(
         self, features: Any, values: FloatArray, labels: AnyArray | None, units: AnyArray | None = None
     ) -> None:
-        self.calibrator_.calibrate(self.proba_of(features), values, units if labels is None else labels)
+        proba = self.proba_of(features)
+        if isinstance(self.estimator, FrozenEstimator) and (told := self._doubt_seen(features, values)):
+            warnings.warn(f"estimator: {told}", DataWarning, stacklevel=3)
+        self.calibrator_.calibrate(proba, values, units if labels is None else labels)
         if labels is None:
             if np.isinf(self.calibrator_.thresholds_).any():
                 n, beyond = self.calibrator_.n_units, int((self.bins_.encode(values) < 0).any(axis=1).sum())
@@ -419,6 +440,11 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if small:
             few = f"{counted(len(small), 'group')} with too few calibration samples"
             warnings.warn(f"regions of {few} are unbounded: {brief(small, 300)}", stacklevel=3)
+
+    def _doubt_seen(self, features: Any, values: FloatArray) -> str:
+        if not (is_frame(features) or isinstance(features, np.ndarray)) or hasattr(features, "with_columns"):
+            return ""
+        return doubt_seen(lambda X: PredictiveDensity(self.bins_, self.proba_of(X)).quantile(0.5), features, values)
 
     def _calibrated(self) -> Any:
         if not hasattr(self.calibrator_, "scores_"):

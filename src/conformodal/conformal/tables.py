@@ -64,6 +64,8 @@ def region_table(reg: ConformalRegressor, table: Any, alpha: Alpha | None) -> An
         frame = as_inputs(reg, table)
     inputs, parts = frame[reg.columns_], []
     unlike = reg.compare_rows(inputs)
+    if reg.group_column_ is not None and reg.group_column_ not in reg.columns_:  # else compare_rows tells of gaps
+        reg.warn_without_group(frame[reg.group_column_])
     with threadpool_limits(1):  # on blocks of this size, threads wait more than they work
         for rows in [*blocks(len(frame))] or [slice(0, 0)]:
             proba = reg.proba_of(inputs.iloc[rows])

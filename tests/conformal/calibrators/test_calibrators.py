@@ -2,6 +2,8 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy import stats
+from scipy.integrate import quad
 
 import conformodal.conformal as cm
 
@@ -138,3 +140,39 @@ def test_scores_of_any_size_keep_their_sets(factor):
     y = np.arange(60) % 6 + 0.5
     sets = cm.SplitConformal(bins, "0.3", score).calibrate(np.full((60, 6), 1 / 6), y).predict(np.full((1, 6), 1 / 6))
     assert sets.masks[0].tolist() == [[True] * 5 + [False]]
+
+
+def test_a_row_without_a_group_is_covered_by_the_law_of_the_largest_threshold():
+    # scores of the first of two bins are uniform, so the thresholds of two groups are order statistics
+    bins, sizes, alpha = cm.QuantileBins.from_edges([[0.0, 1.0, 2.0]]), (19, 35), 0.1
+    laws = [stats.beta(cm.conformal_rank(n, alpha), n + 1 - cm.conformal_rank(n, alpha)) for n in sizes]
+    expected = 1 - quad(lambda u: laws[0].cdf(u) * laws[1].cdf(u), 0, 1)[0]
+    rng, groups, held = np.random.default_rng(0), np.repeat(["a", "b"], sizes), []
+    for _ in range(400):
+        score = rng.random(sum(sizes) + 100)
+        proba = np.column_stack([1 - score, score])
+        cal = cm.MondrianConformal(bins, alpha).calibrate(proba[: sum(sizes)], np.full(sum(sizes), 0.5), groups)
+        held.append(cal.predict(proba[sum(sizes) :], [None] * 100).masks[0][:, 0].mean())
+    assert abs(np.mean(held) - expected) < 4 * np.std(held) / 20
+    assert expected > max(cm.conformal_rank(n, alpha) / (n + 1) for n in sizes)
+
+
+@pytest.mark.parametrize(
+    ("groups", "gaps", "kind"),
+    [
+        (["a", None, "b", "new"], [1], "text"), (np.array(["a", np.nan, "b", "new"], dtype=object), [1], "text"),
+        (np.array([1.0, np.nan, 2.0, 7.0]), [1], "number"), ([1, None, 2, 7], [1], "number"),
+        (np.array(["2024-01-01", "NaT", "2024-01-02", "2025-01-01"], "M8[D]"), [1], "date"),
+    ],
+)  # fmt: skip
+def test_rows_without_a_group_have_the_sets_of_the_group_with_the_largest_threshold(groups, gaps, kind):
+    labels = {"text": ["a", "b"], "number": [1, 2], "date": np.array(["2024-01-01", "2024-01-02"], "M8[D]")}[kind]
+    rng, bins = np.random.default_rng(0), cm.QuantileBins.from_edges([np.arange(9.0)])
+    proba = rng.dirichlet(np.full(8, 0.5), 90)
+    cal = cm.MondrianConformal(bins, 0.2).calibrate(proba[:60], rng.uniform(0, 8, 60), np.repeat(labels, 30))
+    asked = proba[60:64]
+    each = [cal.predict(asked, np.repeat(labels[k : k + 1], 4)).masks[0] for k in range(2)]
+    regions = cal.predict(asked, groups)
+    np.testing.assert_array_equal(regions.masks[0][gaps], (each[0] | each[1])[gaps])
+    np.testing.assert_array_equal(regions.masks[0][[0, 2]], [each[0][0], each[1][2]])
+    assert regions.unbounded[:, 0].tolist() == [False, False, False, True]

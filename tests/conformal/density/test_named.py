@@ -1,11 +1,14 @@
 import numpy as np
 import pytest
 from scipy.stats import norm
+from sklearn.datasets import make_friedman1
 from sklearn.ensemble import ExtraTreesRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
-from conformodal.conformal import QuickDensity
+from conformodal.conformal import ConformalRegressor, QuickDensity
+from conformodal.conformal.density import named
 from conformodal.conformal.density.forest import LeafForest, group_values, rank_cosines
-from conformodal.conformal.density.named import boosting, fit_out_of_fold, folds_of
+from conformodal.conformal.density.named import SubsetProcess, boosting, fit_out_of_fold, folds_of, smooth_member
 
 EDGES = np.linspace(-3, 3, 61)
 
@@ -113,3 +116,53 @@ def test_out_of_bag_rows_sum_to_one_and_follow_the_values():
     assert np.corrcoef(forest.out_of_bag_mean_, y)[0, 1] > 0.9
     at = np.array([y[groups == g].mean() for g in range(found.shape[1])])
     np.testing.assert_allclose(found @ at, forest.out_of_bag_mean_[rows], atol=0.05)
+
+
+def sets_of(X, y, monkeypatch, smooth):
+    with monkeypatch.context() as patched:
+        if not smooth:
+            patched.setattr(named, "smooth_member", lambda *args: None)
+        reg = ConformalRegressor(calibration_size=0.4, random_state=0).fit(X[:1000], y[:1000])
+    regions = reg.predict_region(X[1000:])
+    return reg.estimators_[0].location_, regions, regions.contains(y[1000:]).mean()
+
+
+def test_a_smooth_target_has_shorter_sets_by_the_smooth_member(monkeypatch):
+    X, y = make_friedman1(1600, noise=1.0, random_state=0)
+    location, regions, held = sets_of(X, y, monkeypatch, True)
+    without, longer, _ = sets_of(X, y, monkeypatch, False)
+    assert location.weights_[0] > 0.5
+    assert location.weights_.size == without.weights_.size + 1
+    assert regions.length.mean() < 0.85 * longer.length.mean()
+    assert abs(held - 0.9) < 0.05
+
+
+def test_a_smooth_member_that_does_not_help_changes_nothing(monkeypatch):
+    rng = np.random.default_rng(0)
+    X = rng.integers(0, 40, (1600, 2)).astype(float)
+    y = rng.normal(size=(40, 40))[tuple(X.astype(int).T)] + 3 * (X[:, 0] % 2) + 0.1 * rng.normal(size=1600)
+    location, regions, _ = sets_of(X, y, monkeypatch, True)
+    without, same, _ = sets_of(X, y, monkeypatch, False)
+    assert location.weights_.size == without.weights_.size
+    np.testing.assert_array_equal(regions.masks[0], same.masks[0])
+
+
+def test_whole_weights_of_the_smooth_member_equal_repetitions():
+    rng = np.random.default_rng(0)
+    X, weight = rng.normal(size=(60, 3)), rng.integers(1, 4, 60)
+    y = np.sin(X[:, 0]) + 0.3 * rng.normal(size=60)
+    at, times = rng.normal(size=(20, 3)), np.repeat(np.arange(60), weight)
+    kernel = ConstantKernel(1.5) * Matern([1.0, 2.0, 3.0], nu=1.5)
+    one = SubsetProcess(kernel, 0.2, 0).fit(X, y, weight.astype(float))
+    np.testing.assert_allclose(
+        one.predict(at), SubsetProcess(kernel, 0.2, 0).fit(X[times], y[times]).predict(at), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("n_columns", [1, 45])
+def test_the_search_for_a_kernel_does_not_end_where_all_is_noise(n_columns):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(300, n_columns))
+    y = X[:, 0] + 0.5 * rng.normal(size=300)
+    guess = fit_out_of_fold(smooth_member(X, y, 0), X, y, np.ones(300), folds_of(300, 0, 5))[0]
+    assert 1 - np.mean((y - guess) ** 2) / y.var() > (0.75 if n_columns == 1 else 0.5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from copy import copy
 from fractions import Fraction
 from typing import Any, Literal, Self
@@ -21,7 +22,7 @@ from conformodal.conformal.checks import (
     blocks,
     not_calibrated,
 )
-from conformodal.conformal.rank import conformal_quantile
+from conformodal.conformal.rank import conformal_quantile, conformal_rank
 from conformodal.conformal.regions import Regions
 from conformodal.conformal.scores import BUILT_IN, Aps, Lac, Score, resolve_score, row_uniforms
 from conformodal.core.arrays import FloatArray, RealArray
@@ -216,6 +217,26 @@ class Calibrator:
         if self.joint != "max" or getattr(self.score_, "normalised", False):
             return np.zeros(self.bins.n_targets), np.ones(self.bins.n_targets)
         raise not_calibrated('joint="max" needs scales: call fit_scale(proba_train, y_train) first')
+
+    def warn_ties(self, scores: RealArray) -> None:
+        """Warn where more than alpha of calibration scores (n, d) are the worst there is: sets are whole ranges."""
+        for j, (column, widths) in enumerate(zip(scores.T, self.bins.widths, strict=True)):
+            known = widths.size > 1 and isinstance(self.score_, BUILT_IN)
+            if not known or conformal_rank(column.size, self.alpha_per_target) > column.size:
+                continue
+            certain = np.eye(widths.size, dtype=scores.dtype)[[0, -1]]  # in two bins: all others are impossible
+            worst = float(self.scores_of(certain, widths).max())
+            rounding = float(self.rounding(np.array(abs(worst)), scores.dtype))
+            tied = int(((column >= worst - rounding) & np.isfinite(column)).sum())
+            if tied > self.alpha_per_target * column.size:
+                name = (
+                    f" of {self.bins.names[j]}" if self.bins.names else f" of target {j}" if scores.shape[1] > 1 else ""
+                )
+                warnings.warn(
+                    f"sets{name} are whole ranges: {tied} of {column.size} calibration values have probability zero, "
+                    "or as good as zero. The distributions are too narrow: widen them, or smooth them",
+                    stacklevel=3,
+                )
 
     def _set_thresholds(self) -> None:
         """Thresholds that follow from the calibration scores and alpha alone, if there are any."""

@@ -48,6 +48,7 @@ class ConditionalConformal(Calibrator):
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, conditions: npt.ArrayLike) -> Self:
         """Score the calibration samples; `conditions` (n, c) are numbers, or zeros and ones for groups."""
         plain = self.score_samples(proba, y)
+        self.warn_ties(plain)
         scores = self.calibration_columns(plain).astype(plain.dtype)  # which says how they are rounded
         if not len(scores):
             raise ConformodalError("y must hold at least one calibration sample")

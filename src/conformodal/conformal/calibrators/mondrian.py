@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.conformal.checks import Probabilities, as_labels, as_probabilities, factorise
+from conformodal.conformal.checks import Probabilities, as_known_labels, as_labels, as_probabilities, factorise
 from conformodal.conformal.rank import conformal_quantile, conformal_rank
 from conformodal.conformal.regions import Regions
 
@@ -44,6 +44,7 @@ class MondrianConformal(Calibrator):
     def calibrate(self, proba: Probabilities, y: npt.ArrayLike, groups: npt.ArrayLike) -> Self:
         """Set one threshold per group; `groups` are (n,) labels: text, numbers or dates."""
         scores = self.score_samples(proba, y)
+        self.warn_ties(scores)
         self.groups_ = as_labels(groups, scores.shape[0])
         self.scores_ = scores
         self._set_thresholds()
@@ -66,10 +67,16 @@ class MondrianConformal(Calibrator):
         return [g for g, n in self.sizes_.items() if conformal_rank(n, alpha) > n]
 
     def predict(self, proba: Probabilities, groups: npt.ArrayLike) -> Regions:
-        """Regions of new samples, each by its group's threshold."""
+        """Regions of new samples, each by its group's threshold; by the largest of all groups if it has no label.
+
+        The largest guarantees coverage whichever of the groups such a sample is of.
+        """
         self._calibrated()
         parts = as_probabilities(proba, self.bins.sizes)
-        labels, codes = factorise(as_labels(groups, len(parts[0])))
+        known, gaps = as_known_labels(groups, len(parts[0]))
+        labels, codes = factorise(known)
         none = np.full(self.bins.n_targets, np.inf, dtype=self.scores_.dtype)
         by_label = np.array([self.thresholds_.get(label, none) for label in labels]).reshape(-1, none.size)
-        return self.regions_at(parts, by_label[codes])
+        limits = by_label[codes]
+        limits[gaps] = np.max([*self.thresholds_.values()], axis=0)
+        return self.regions_at(parts, limits)

@@ -77,7 +77,9 @@ class SplitConformal(Calibrator):
         `proba` is (n, d, K) or a list of d arrays (n, K_d); `y` are (n, d) true values, or (n,) for one target; `units`
         are (n,) labels of what samples were drawn together in: text, numbers or dates.
         """
-        return self.calibrate_scores(self.score_samples(proba, y), units)
+        scores = self.score_samples(proba, y)
+        self.warn_ties(scores)
+        return self.calibrate_scores(scores, units)
 
     def calibrate_scores(
         self, scores: RealArray, units: npt.ArrayLike | None = None, unit_sizes: IntArray | None = None

@@ -18,7 +18,7 @@ _LEVELS = np.linspace(0.005, 0.995, 100)
 
 # Readers by the method that they call, and its argument, in the order in which they are tried. More can be added.
 READERS: dict[tuple[str, str], Reader] = {
-    ("pred_dist", "X"): lambda model, X, bins: bins.proba_from_cdf(model.pred_dist(X).cdf),  # NGBoost
+    ("pred_dist", "X"): lambda model, X, bins: _proba_of(model.pred_dist(X), bins),  # NGBoost
     ("predict_quantiles", "X"): lambda model, X, bins: bins.proba_from_quantiles(
         _LEVELS, model.predict_quantiles(X, _LEVELS.tolist())
     ),
@@ -29,6 +29,11 @@ READERS: dict[tuple[str, str], Reader] = {
         _LEVELS, model.predict(X, output_type="quantiles", alphas=_LEVELS.tolist())
     ),
 }
+
+
+def _proba_of(distribution: Any, bins: QuantileBins) -> FloatArray:
+    """Probabilities of the bins by a distribution's functions ``cdf`` and, if it has one, ``sf``."""
+    return bins.proba_from_cdf(distribution.cdf, sf=getattr(distribution, "sf", None))
 
 
 def reader_of(estimator: Any) -> Reader | None:

@@ -8,7 +8,7 @@ from typing import Any, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import nnls
+from scipy.optimize import minimize, nnls
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.ensemble import BaggingRegressor, ExtraTreesRegressor, HistGradientBoostingRegressor, RandomForestRegressor
 from sklearn.exceptions import ConvergenceWarning
@@ -27,12 +27,19 @@ from .forest import LeafForest, group_values, rank_cosines
 from .mixture import MixtureDensity, log_spread
 
 Maker: TypeAlias = Callable[[], Any]
+_minimize: Any = minimize  # whose stubs know no such function
 Folds: TypeAlias = list[tuple[IntArray, IntArray]]
 
 # a second boosting, of smaller trees, is fitted on at most so many rows
 _SECOND_ROWS = 700
 # the Gaussian process of the stack is fitted on at most so many rows
 _PROCESS_ROWS = 1500
+# that of the quick density on at most so many, its kernel found on fewer, in at most so many steps
+_SMOOTH_ROWS, _KERNEL_ROWS, _KERNEL_STEPS = 1000, 300, 30
+# columns beyond which they share one length scale; standard deviations of the prior of its logarithm, and at which a
+# column is cut off; least weight in the location
+_MOST_LENGTHS, _PRIOR_SD, _REACH, _LEAST_SHARE = 40, 2.0, 6.0, 0.05
+_JITTER = 1e-8  # least variance of noise, for a matrix that can be inverted
 # networks of the stack; gradient steps of each: rows times epochs, within limits
 _NETWORKS, _ROWS_SEEN = 3, 600_000
 # columns that a model of a location or spread gets, or as many as there are rows if these are more
@@ -46,9 +53,9 @@ _MOST_ROWS, _VALIDATION_ROWS = 30_000, 1000
 class QuickDensity(MixtureDensity):
     """Conditional density of a value over bins, order-aware, in about the time of a few boostings.
 
-    A smaller :class:`~conformodal.conformal.StackedDensity`. Boosted trees and a forest give every sample an
-    out-of-fold location; boosted trees give its spread. Five distributions are mixed by the weights of largest held-out
-    likelihood:
+    A smaller :class:`~conformodal.conformal.StackedDensity`. Boosted trees, a forest and a Gaussian process, if it
+    helps, give every sample an out-of-fold location; boosted trees give its spread. Five distributions are mixed by the
+    weights of largest held-out likelihood:
 
     - the marginal distribution of the values;
     - residuals from the location, scaled by the spread, the same for all samples;
@@ -58,7 +65,8 @@ class QuickDensity(MixtureDensity):
 
     Each is smoothed by Gaussian kernels, narrower where values are dense; held-out likelihood chooses the bandwidth.
     Of more than 30,000 rows, so many are drawn at random. Boosted trees get at most 128 columns, or as many as there
-    are rows: those that correlate most with the values that each is fitted on.
+    are rows: those that correlate most with the values that each is fitted on. The Gaussian process gets at most 1,000
+    rows, and has one length scale per column of up to 40.
 
     Parameters
     ----------
@@ -106,7 +114,8 @@ class QuickDensity(MixtureDensity):
             direct = LeafForest(ExtraTreesRegressor, n_trees, 3, seed)
             direct.fit(features, rank_cosines(z, 4), z, weight, [values], validation)
             means, members = direct.out_of_bag_mean_, quick_members(n, seed)
-            self.location_ = Location().fit(members, features, z, weight, folds_of(n, seed, n_folds), means)
+            smooth, folds = smooth_member(features, z, seed), folds_of(n, seed, n_folds)
+            self.location_ = Location().fit(members, features, z, weight, folds, means, smooth)
             summary = self.location_.summary(self.location_.out_of_fold_)
             loc, extended = summary[:, 0], np.column_stack((features, summary))
             rough, folds = boosting(0.1, 40, 8, 20, n, seed), folds_of(n, seed, min(n_folds, 3))
@@ -197,16 +206,31 @@ class Location:
     """
 
     def fit(
-        self, members: list[Maker], X: FloatArray, y: FloatArray, weight: FloatArray, folds: Folds, forest: Any = None
+        self,
+        members: list[Maker],
+        X: FloatArray,
+        y: FloatArray,
+        weight: FloatArray,
+        folds: Folds,
+        forest: Any = None,
+        smooth: Maker | None = None,
     ) -> Self:
-        """Fit untrained `members`; `forest` (n,) are out-of-bag means of one more."""
+        """Fit untrained `members`; `forest` (n,) are out-of-bag means of one more.
+
+        The member `smooth` stays out unless its weight is a twentieth or more.
+        """
         fits = [fit_out_of_fold(member, X, y, weight, folds) for member in members]
         self._models = [model for _, model in fits]
         self._with_forest = forest is not None
         self.out_of_fold_ = np.column_stack([*(guess for guess, _ in fits), *([] if forest is None else [forest])])
-        root = np.sqrt(weight)
-        raw, _ = nnls(self.out_of_fold_ * root[:, None], y * root)
-        self.weights_ = raw / raw.sum() if raw.sum() > 0 else np.full(raw.size, 1 / raw.size)
+        self.weights_ = _stacking_weights(self.out_of_fold_, y, weight)
+        if smooth is None:
+            return self
+        guess, model = fit_out_of_fold(smooth, X, y, weight, folds)
+        wider = np.column_stack((guess, self.out_of_fold_))
+        weights = _stacking_weights(wider, y, weight)
+        if weights[0] >= _LEAST_SHARE:
+            self._models, self.out_of_fold_, self.weights_ = [model, *self._models], wider, weights
         return self
 
     def predict(self, X: FloatArray, forest: FloatArray) -> FloatArray:
@@ -217,6 +241,13 @@ class Location:
     def summary(self, predictions: FloatArray) -> FloatArray:
         """The weighted mean and the standard deviation of the members' predictions (n, m), as (n, 2)."""
         return np.column_stack((predictions @ self.weights_, predictions.std(axis=1)))
+
+
+def _stacking_weights(predictions: FloatArray, y: FloatArray, weight: FloatArray) -> FloatArray:
+    """Weights (m,) of out-of-fold predictions (n, m), not negative, that sum to one."""
+    root = np.sqrt(weight)
+    raw, _ = nnls(predictions * root[:, None], y * root)
+    return np.asarray(raw / raw.sum() if raw.sum() > 0 else np.full(raw.size, 1 / raw.size))
 
 
 def quick_members(n: int, seed: int) -> list[Maker]:
@@ -253,6 +284,69 @@ def stacked_members(n: int, seed: int) -> list[Maker]:
     if n <= _PROCESS_ROWS:
         members.append(lambda: make_pipeline(StandardScaler(), _AnisotropicProcess()))
     return members
+
+
+def smooth_member(X: FloatArray, y: FloatArray, seed: int) -> Maker | None:
+    """A Gaussian process whose kernel has the largest marginal likelihood on some of the rows; None if there is none.
+
+    Length scales have a log-normal prior: without one, the search often ends where all is noise.
+    """
+    rows = np.random.RandomState(seed).permutation(y.size)[:_KERNEL_ROWS]
+    features = _standardised(X[rows], X.mean(axis=0), X.std(axis=0))
+    lengths = np.full(X.shape[1] if X.shape[1] <= _MOST_LENGTHS else 1, 2 * np.sqrt(X.shape[1]))
+    amplitude, noise = ConstantKernel(1.0, (1e-2, 1e3)), WhiteKernel(0.1, (1e-5, 10.0))
+    kernel = amplitude * Matern(lengths, (1e-2, 1e4), nu=1.5) + noise
+    usual = np.log(lengths)
+
+    def search(unlikelihood: Any, start: FloatArray, bounds: FloatArray) -> tuple[FloatArray, float]:
+        def penalised(at: FloatArray) -> tuple[float, FloatArray]:
+            value, gradient = unlikelihood(at)
+            away = np.concatenate(([0.0], at[1:-1] - usual, [0.0]))  # amplitude, lengths, noise
+            return value + float(away @ away) / (2 * _PRIOR_SD**2), gradient + away / _PRIOR_SD**2
+
+        options: Any = {"jac": True, "method": "L-BFGS-B", "options": {"maxiter": _KERNEL_STEPS}}
+        best = _minimize(penalised, start, bounds=bounds, **options)
+        return best.x, float(best.fun)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # a useless feature's length scale runs to its bound
+        try:
+            best = GaussianProcessRegressor(kernel, optimizer=search).fit(features, y[rows]).kernel_
+        except (np.linalg.LinAlgError, ValueError):  # no kernel fits, as of a constant
+            return None
+    return lambda: SubsetProcess(best.k1, float(best.k2.noise_level), seed)
+
+
+def _standardised(X: FloatArray, center: FloatArray, spread: FloatArray) -> FloatArray:
+    return np.asarray(np.clip((X - center) / np.where(spread > 0, spread, 1.0), -_REACH, _REACH))
+
+
+class SubsetProcess(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """Gaussian process with a given kernel and variance of noise, on at most 1,000 rows.
+
+    A row's weight divides the variance of its noise, so that a whole weight equals as many repetitions. Source:
+    Rasmussen and Williams (2006), equation 2.25; of more rows a random subset, chapter 8.3.3.
+    """
+
+    def __init__(self, kernel: Any, noise: float, random_state: int) -> None:
+        self.kernel = kernel
+        self.noise = noise
+        self.random_state = random_state
+
+    def fit(self, X: FloatArray, y: FloatArray, sample_weight: FloatArray | None = None) -> Self:
+        """Take in the rows (n, p), or a random subset."""
+        rows = np.random.RandomState(self.random_state).permutation(y.size)[:_SMOOTH_ROWS]
+        weight = np.ones(y.size) if sample_weight is None else sample_weight
+        self.mean_ = float(np.average(y, weights=weight))
+        self.center_ = np.average(X, axis=0, weights=weight)
+        self.spread_ = np.sqrt(np.average((X - self.center_) ** 2, axis=0, weights=weight))
+        process = GaussianProcessRegressor(self.kernel, alpha=self.noise / weight[rows] + _JITTER, optimizer=None)
+        self.process_ = process.fit(_standardised(X[rows], self.center_, self.spread_), y[rows] - self.mean_)
+        return self
+
+    def predict(self, X: FloatArray) -> FloatArray:
+        """Means (n,)."""
+        return np.asarray(self.process_.predict(_standardised(X, self.center_, self.spread_)) + self.mean_)
 
 
 class _AnisotropicProcess(RegressorMixin, BaseEstimator):  # type: ignore[misc]
