@@ -28,9 +28,9 @@ COLOURS = {"region": "#56B4E9", "smoothed": "#0072B2", "classical": "#D55E00", "
 _PNG_DPI = 150
 _REACH = 1.15  # how far beyond the truth's own range a panel shows
 _OUTSIDE = "#BBBBBB"  # bins that are not in the set
-_LEAST_SHOWN, _BELOW_THRESHOLD = 1e-4, 30.0  # where bars begin
+_MIN_SHOWN, _BELOW_THRESHOLD = 1e-4, 30.0  # where bars begin
 _STRIP = 0.025  # height of the intervals along the bottom, as a share of the panel's
-_LEAST_BOX = 1.5  # points: the line around a cuboid, so that a narrow one is seen
+_MIN_BOX = 1.5  # points: the line around a cuboid, so that a narrow one is seen
 
 
 def as_label(text: str) -> str:
@@ -306,7 +306,7 @@ def _bars(axis: Axes, softmax: SoftmaxOfTarget) -> None:
     colours = [COLOURS["region"] if here else _OUTSIDE for here in inside]
     axis.set_yscale("log")
     axis.bar(softmax.edges[:-1], softmax.proba, np.diff(softmax.edges), align="edge", color=colours, ec="white", lw=0.3)
-    bottom = _LEAST_SHOWN
+    bottom = _MIN_SHOWN
     if softmax.least > 0:
         axis.axhline(softmax.least, ls="-.", lw=1.2, color=COLOURS["classical"])
         bottom = softmax.least / _BELOW_THRESHOLD
@@ -338,7 +338,7 @@ def _cuboids(axis: Axes, steps: Steps, flat: Sequence[int]) -> None:
     clipped = [np.clip(s.intervals, s.edges[0], s.edges[-1]) for s in parts]
     for (a, b), (c, d) in product(*clipped):
         axis.add_patch(
-            Rectangle((a, c), b - a, d - c, fc=COLOURS["region"], ec=COLOURS["region"], lw=_LEAST_BOX, zorder=2)
+            Rectangle((a, c), b - a, d - c, fc=COLOURS["region"], ec=COLOURS["region"], lw=_MIN_BOX, zorder=2)
         )
     axis.plot(*steps.truth[steps.frame, flat], "+", ms=11, mew=1.8, color=COLOURS["truth"], zorder=6)
     axis.set(xlabel=f"{parts[0].target} (m)", ylabel=f"{parts[1].target} (m)")

@@ -72,7 +72,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 _ENDINGS = {Method.PAPER: "paper", Method.CONFORMODAL: "ours"}
 _ANSWERS = {Method.PAPER: "the paper's greedy answer", Method.CONFORMODAL: "our answer, after reasoning"}
 _N_BINS = (10, 50)
-_MOST_CUBOIDS = 30  # that an eye can tell apart
+_MAX_CUBOIDS = 30  # that an eye can tell apart
 _FLOW_OVER = 5  # frames
 _POSITION = "xyz"
 
@@ -190,7 +190,7 @@ def _frame_to_show(runs: Collection[StoredRun]) -> int:
     frames = range(len(runs[0].records))
     counts = np.array([[np.prod([max(len(run.intervals(i, t)), 1) for t in "xyz"]) for run in runs] for i in frames])
     most = counts.max(axis=1)
-    return int(np.argmax(np.where(most <= _MOST_CUBOIDS, counts.sum(axis=1), -most)))
+    return int(np.argmax(np.where(most <= _MAX_CUBOIDS, counts.sum(axis=1), -most)))
 
 
 def steps_of(place: Path, sequence: Recording, cache: FeatureCache) -> Steps:
@@ -219,7 +219,7 @@ def steps_of(place: Path, sequence: Recording, cache: FeatureCache) -> Steps:
     cuboids = counts.prod(axis=1)
     earlier = np.maximum(frames - _FLOW_OVER, 0)
     moved = (earlier < frames) & (sequence.recording[earlier] == sequence.recording[frames])
-    fits = regions.contains(targets)[:, :3].all(axis=1) & (cuboids <= _MOST_CUBOIDS) & moved
+    fits = regions.contains(targets)[:, :3].all(axis=1) & (cuboids <= _MAX_CUBOIDS) & moved
     frame = int(np.argmax(np.where(fits, counts.max(axis=1), -cuboids)))
     shown = int(np.argmax(counts[frame]))
     intervals, edges = regions.intervals(frame), model.bins.edges_

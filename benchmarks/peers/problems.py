@@ -16,7 +16,7 @@ from common import DATA
 from conformodal.core.arrays import BoolArray, FloatArray
 
 TABLES = ("concrete", "energy", "temperature", "bio", "births", "air", "bimodal")
-MOST_ROWS = 1000  # drawn anew with every seed
+MAX_ROWS = 1000  # drawn anew with every seed
 # a target with fewer distinct values than this share of its rows lies on a grid
 GRID_SHARE = 0.2
 
@@ -81,12 +81,12 @@ def bimodal_optimum(alpha: float) -> float:
 def draw(table: str, seed: int, alpha: float) -> Split:
     """The first target of a table, split at random."""
     if table == "bimodal":
-        X, y = bimodal(MOST_ROWS, seed)
+        X, y = bimodal(MAX_ROWS, seed)
         target = "y"
     else:
         X, Y, names = read_table(table)
         y, target = Y[:, 0], names[0]
-    order = np.random.default_rng(seed).permutation(len(X))[:MOST_ROWS]
+    order = np.random.default_rng(seed).permutation(len(X))[:MAX_ROWS]
     parts = dict(zip(("train", "cal", "test"), np.split(order, [int(s * len(order)) for s in (0.6, 0.8)]), strict=True))
     std = y[parts["train"]].std()
     z = (y - y[parts["train"]].mean()) / std

@@ -21,7 +21,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from measure import measure
 from methods import METHODS, OURS, PEERS, STACK
-from problems import MOST_ROWS, TABLES, Split, draw
+from problems import MAX_ROWS, TABLES, Split, draw
 
 from conformodal.conformal import check_coverage, coverage_band
 
@@ -138,7 +138,7 @@ def main() -> None:
     best_rows.append(["geometric mean", *(f"{geometric(sizes):.3f}" if sizes else "" for sizes in against.values())])
     over = [[m, f"{geometric(sizes):.3f}", str(len(sizes))] for m, sizes in relative.items() if sizes]
     notes = (
-        f"alpha = {ALPHA}. The first target of every table, {MOST_ROWS} rows of it drawn at random with every seed (all "
+        f"alpha = {ALPHA}. The first target of every table, {MAX_ROWS} rows of it drawn at random with every seed (all "
         "rows of smaller tables): 60 % training, 20 % calibration, 20 % test, so samples are exchangeable. Mean ± half of "
         "the 95 % interval over splits, as many as the column `in band` counts. "
         "Size: mean length in standard deviations of the training values. A target with fewer distinct "

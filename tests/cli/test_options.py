@@ -98,7 +98,7 @@ ENDS = [
     (OSError(errno.EIO, "Input/output error"), 4, "Input/output error"),
     (MemoryError(), 4, "not enough memory"),
     (RuntimeError("DefaultCPUAllocator: can't allocate: you tried not enough memory"), 4, "not enough memory"),
-    (KeyError("x"), 70, "KeyError: 'x' (a fault of this program"),
+    (KeyError("x"), 70, "KeyError: 'x' (internal error"),
     (ValueError("a\nb\x1b[31m"), 70, "a\\nb\\x1b[31m"),
     (KeyboardInterrupt(), 130, "interrupted"),
 ]

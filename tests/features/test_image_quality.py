@@ -32,8 +32,8 @@ def test_a_disturbance_moves_its_quality_out_of_range(grey, change, moved, sign)
     own = image_quality(grey)
     known = QualityRange.of(own * np.array([[0.95], [1.05]]))
     found = image_quality(change(grey))
-    assert not known.left_by(own[None])[0]
-    assert known.left_by(found[None])[0]
+    assert not known.is_outside(own[None])[0]
+    assert known.is_outside(found[None])[0]
     at = QUALITIES.index(moved)
     assert sign * (found[at] - own[at]) > 0.05 * own[at]
 
@@ -41,4 +41,4 @@ def test_a_disturbance_moves_its_quality_out_of_range(grey, change, moved, sign)
 def test_the_ends_are_in_range_and_what_was_not_measured_is_not_out_of_it():
     known = QualityRange.of(np.array([[1.0, 2, 3], [4, 5, 6]]))
     beyond = np.array([4.0, 5, 6.4])
-    assert known.left_by(np.array([known.low, known.high, NOT_MEASURED, beyond])).tolist() == [False] * 3 + [True]
+    assert known.is_outside(np.array([known.low, known.high, NOT_MEASURED, beyond])).tolist() == [False] * 3 + [True]

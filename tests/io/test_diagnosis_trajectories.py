@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Trajectory
 from conformodal.io.diagnosis.axes import describe_axes, parse_axes
-from conformodal.io.diagnosis.clocks import doubt_clock
+from conformodal.io.diagnosis.clocks import describe_time_offset
 from conformodal.io.diagnosis.trajectories import doubt_truth
 
 RATE_HZ, N = 10, 600
@@ -46,8 +46,8 @@ def turned(path, left=None, right=None, lever=(0, 0, 0)):
 
 def test_a_sound_truth_is_not_doubted(estimate, truth):
     assert doubt_truth(estimate, truth).reasons == ()
-    assert doubt_clock(estimate, truth) == ""
-    assert doubt_clock(estimate, truth[::3]) == ""  # a truth of a lower rate
+    assert describe_time_offset(estimate, truth) == ""
+    assert describe_time_offset(estimate, truth[::3]) == ""  # a truth of a lower rate
 
 
 @pytest.mark.parametrize("quat", [[1, 0, 0, 0], [0.5, 0.5, 0.5, 0.5]])
@@ -106,7 +106,7 @@ def test_poses_of_a_truth_that_repeat_while_the_estimate_moves_are_told(estimate
 
 @pytest.mark.parametrize("shift_s", [18.0, -1.0, 37.3])
 def test_a_clock_that_is_ahead_is_told_with_the_shift(estimate, truth, shift_s):
-    told = doubt_clock(estimate, replace(truth, timestamps_s=truth.timestamps_s + shift_s))
+    told = describe_time_offset(estimate, replace(truth, timestamps_s=truth.timestamps_s + shift_s))
     assert f"{abs(shift_s):.3g} s {'ahead' if shift_s > 0 else 'behind'}" in told
     assert f"--time-offset {-shift_s:.3g}" in told
 

@@ -52,7 +52,7 @@ def test_check_finds_what_is_wrong(tmp_path):
     paths[7].write_bytes(b"")
     for path in paths[9:]:
         path.rename(path.with_name(f"{float(path.stem) + 2:.6f}.png"))
-    assert "good enough: no, not before this is mended: " in invoke("data", "check", tmp_path / "a").output
+    assert "good enough: no, fix this first: " in invoke("data", "check", tmp_path / "a").output
     (tmp_path / "a" / "poses.tum").unlink()
     found = check_recording(read_recording(tmp_path / "a", require_poses=False))
     assert found.n_frames == 12

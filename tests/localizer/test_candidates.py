@@ -40,7 +40,7 @@ def test_candidates_are_bounded_and_keep_the_most_probable(monkeypatch):
     found = mode_candidates(proba, pose_bins())[0]
     assert len(found.positions_xyz) == 10
     assert (np.diff(found.log_mass) <= 1e-12).all()
-    monkeypatch.setattr("conformodal.localizer.candidates._LEAST_MASS", 0.9)
+    monkeypatch.setattr("conformodal.localizer.candidates._MIN_MASS", 0.9)
     few = mode_candidates(proba, pose_bins())[0]
     assert len(few.positions_xyz) == 1  # never none
 

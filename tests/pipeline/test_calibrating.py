@@ -75,8 +75,8 @@ class Claims:
         yield slice(0, len(beliefs.means)), list(mass.transpose(1, 0, 2))
 
 
-@pytest.mark.parametrize(("claimed", "too_sure"), [(0.5, True), (0.8, False)])
-def test_smaller_errors_that_claim_half_the_spread_are_reported(claimed, too_sure):
+@pytest.mark.parametrize(("claimed", "overconfident"), [(0.5, True), (0.8, False)])
+def test_smaller_errors_that_claim_half_the_spread_are_reported(claimed, overconfident):
     """A final model with 20 % smaller errors keeps the guarantee only if it claims no smaller spread than it has."""
     targets = np.random.default_rng(0).uniform(-2, 2, (400, 7))
     data = SimpleNamespace(features=targets, targets=targets, bins_of=lambda frames: BINS, depth_m=np.nan)
@@ -88,9 +88,9 @@ def test_smaller_errors_that_claim_half_the_spread_are_reported(claimed, too_sur
     assert found.n_frames == 120
     by_model, by_folds = found.covered
     assert by_folds > 0.85
-    assert (by_model < 0.85) == too_sure
-    assert found.too_sure == too_sure
-    assert found.larger > 0.5 or not too_sure
+    assert (by_model < 0.85) == overconfident
+    assert found.overconfident == overconfident
+    assert found.larger > 0.5 or not overconfident
     assert f"hold {by_model:.3f} of the poses" in found.describe()
 
 

@@ -65,7 +65,7 @@ def test_regions_of_disturbed_images_are_calibrated_on_disturbed_ones(model, seq
     features = extract_features([sequence.image_paths[i] for i in frames], model.backbone, cache, noise=noisy.noise)
     local = [extract_local_features(noisy.image(i), model.camera, model.detector) for i in frames]
     found = model.localize(FrameEvidence(features, local))
-    out = model.quality.left_by(np.array([its.quality for its in local]))
+    out = model.quality.is_outside(np.array([its.quality for its in local]))
     assert out.sum() > 10
     assert set(found.kinds[out]) <= {EvidenceType.DISTURBED, EvidenceType.UNKNOWN}
     assert not (found.kinds[~out] == EvidenceType.DISTURBED).any()

@@ -106,7 +106,7 @@ def test_boxes_are_the_region(make_estimate, seed):
 def test_of_many_boxes_those_that_hold_most_of_the_belief_are_kept(make_estimate, some_candidates, monkeypatch):
     estimate = make_estimate(candidates=some_candidates(np.random.default_rng(0), 60))
     all_of_them = Conversion().messages(estimate, 0)["region"].markers[1:]
-    monkeypatch.setattr(conversion_module, "_MOST_BOXES", 3)
+    monkeypatch.setattr(conversion_module, "_MAX_BOXES", 3)
     few = Conversion().messages(estimate, 0)
     assert [m.pose for m in few["region"].markers[1:]] == [m.pose for m in all_of_them[:3]]
     shares = [marker.color.a for marker in all_of_them]

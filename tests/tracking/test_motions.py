@@ -6,7 +6,7 @@ from conformodal.features.local import ORB
 from conformodal.geometry import MotionStatus, PinholeCamera
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import ImageError
-from conformodal.tracking.motions import frame_features, look_through
+from conformodal.tracking.motions import frame_features, run_front_end
 from conformodal.tracking.tracker import MotionFrontEnd, affine_flow
 
 W, H = 320, 240
@@ -60,9 +60,9 @@ def test_runs_have_the_flow_that_training_has(every):
 
 def test_one_look_gives_features_and_motions_of_all_frames_though_it_is_cut_into_segments(monkeypatch):
     pan, frames = Pan(21, px=8), np.array([2, 3, 5, 6, 9, 12, 13, 20])
-    whole = look_through(pan, frames, ORB, motions=True)
+    whole = run_front_end(pan, frames, ORB, motions=True)
     monkeypatch.setattr("conformodal.tracking.motions._SEGMENT", 3)
-    cut = look_through(pan, frames, ORB, motions=True)
+    cut = run_front_end(pan, frames, ORB, motions=True)
     for looks in (whole, cut):
         assert set(frames) == looks.features.keys() <= looks.motions.keys()
         for i in frames.tolist():
@@ -97,5 +97,5 @@ def test_few_corners_or_a_long_time_give_no_flow(seconds, n):
 
 def test_rows_are_moved_to_the_time_of_the_pose():
     pixels, flow = np.array([[100.0, 0.0], [100.0, 240.0], [100.0, 480.0]]), np.array([[100.0, 10.0]] * 3)
-    moved = LENS.at_pose_time(pixels, flow, np.array([0.01, 0.02])) - pixels
+    moved = LENS.compensate_rolling_shutter(pixels, flow, np.array([0.01, 0.02])) - pixels
     assert moved == pytest.approx(-flow * np.array([[0.0], [0.01], [0.02]]))

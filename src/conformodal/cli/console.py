@@ -224,7 +224,7 @@ def _explained(error: Exception) -> tuple[str, int]:
         return f"the system refused: {file}{error.strerror or text or name}", REFUSED
     if isinstance(error, MemoryError) or "not enough memory" in text:  # torch says the latter
         return f"the system refused: there is not enough memory: {text or name}", REFUSED
-    return f"{name}: {text} (a fault of this program; {SHOW_ALL}=1 shows all of it)", OWN_FAULT
+    return f"{name}: {text} (internal error; {SHOW_ALL}=1 shows all of it)", OWN_FAULT
 
 
 @contextmanager

@@ -95,7 +95,7 @@ def check(
         else:
             record["quality"] = quality_record(quality)
             if told := [f"{one.what}: {one.first}" for one in wrong if one.what != NO_POSE]:  # train leaves these out
-                record["quality"]["verdict"] = f"good enough: no, not before this is mended: {'; '.join(told)}"
+                record["quality"]["verdict"] = f"good enough: no, fix this first: {'; '.join(told)}"
             for line in record["quality"]["summary"]:
                 report_line(line)
             report_line(record["quality"]["verdict"], bold=True)

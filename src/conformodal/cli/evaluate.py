@@ -18,7 +18,7 @@ from conformodal.core.words import counted, noun_for
 from conformodal.geometry import Alignment, Trajectory, align, poses_at, relative_errors
 from conformodal.geometry.metrics import MAX_GAP_S, orientation_errors_deg, position_errors_m, straightness
 from conformodal.io import Layout
-from conformodal.io.diagnosis.clocks import clock_hint, doubt_clock
+from conformodal.io.diagnosis.clocks import clock_hint, describe_time_offset
 from conformodal.io.diagnosis.trajectories import doubt_truth
 from conformodal.io.folders import writing_in
 from conformodal.localizer.candidates import TARGET_NAMES
@@ -77,7 +77,7 @@ def evaluate(
             name: row | _motion_errors(aligned[name], matched) for name, row in error_table(aligned, matched).items()
         }
         doubts = doubt_truth(next(iter(aligned.values())), matched)
-        clock = doubt_clock(result.answer, true_poses)
+        clock = describe_time_offset(result.answer, true_poses)
         reasons = [f"{truth.name}: {reason}" for reason in (*doubts.reasons, clock) if reason]
         if doubts.positions_only:
             # relative errors need orientations

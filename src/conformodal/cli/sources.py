@@ -21,7 +21,7 @@ from conformodal.io.cameras import camera_beside, uncalibrated_camera
 from conformodal.io.diagnosis.order import diagnose
 from conformodal.io.folders import check_writable
 from conformodal.io.pose_files import read_tum
-from conformodal.io.reading import Note, by_what
+from conformodal.io.reading import Note, group_by_kind
 from conformodal.io.recording import join_recordings
 from conformodal.io.streams import open_stream
 from conformodal.io.streams.bag import BagStream
@@ -29,7 +29,7 @@ from conformodal.io.streams.frames import FrameStream, RecordingStream
 
 from .console import OUTPUT_PANEL, OptionError, report_line, warning_lines
 
-_MOST_NOTES = 5
+_MAX_NOTES = 5
 
 DATA_PANEL = "Data and split"
 AllData = Annotated[list[Path], typer.Argument(metavar="DATA...", help="Images with poses, in one world frame.")]
@@ -67,11 +67,11 @@ def was_given(context: typer.Context, name: str) -> bool:
 
 def report_notes(notes: Iterable[Note]) -> None:
     """Name what the reader left out, or finds unlikely."""
-    for what, places in by_what(notes).items():
-        for where in places[:_MOST_NOTES]:
+    for what, places in group_by_kind(notes).items():
+        for where in places[:_MAX_NOTES]:
             report_line(f"{what}: {where}")
-        if len(places) > _MOST_NOTES:
-            report_line(f"{what}: {len(places) - _MOST_NOTES} more")
+        if len(places) > _MAX_NOTES:
+            report_line(f"{what}: {len(places) - _MAX_NOTES} more")
 
 
 def open_sequence(path: Path, layout: Layout, *, notes: bool = True, **options: Any) -> Recording:

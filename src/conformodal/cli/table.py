@@ -31,10 +31,10 @@ from .table_csv import CsvFormat, TableError, read_table
 from .table_predict import predict
 
 _FEWEST_ROWS = 50  # a fifth is tested, and a fifth of the rest calibrates
-_SHOWN, _NAMED, _MOST_DRAWN = 3, 20, 200  # rows, columns, rows of a picture
-_MOST_MISSING, _MOST_DISTINCT = 0.5, 0.9
+_SHOWN, _NAMED, _MAX_DRAWN = 3, 20, 200  # rows, columns, rows of a picture
+_MAX_MISSING, _MAX_DISTINCT = 0.5, 0.9
 _OUTLYING, _FEW_TOTALS = 10, 0.02  # medians that a sum exceeds, share of rows called totals
-_MOST_SOLVED, _ROWS_SOLVED, _TINY = 100, 1000, 1e-6  # columns and rows of an equation for the target; its error
+_MAX_SOLVED, _ROWS_SOLVED, _TINY = 100, 1000, 1e-6  # columns and rows of an equation for the target; its error
 _PICTURES = (".svg", ".png", ".pdf")
 _INDEX = r"column 1|index|Unnamed: \d+"  # the first of them stands for no name
 _TOTAL = (
@@ -191,7 +191,7 @@ def _draw(density: PredictiveDensity, regions: Regions, y: pd.DataFrame, diagnos
     figure = Figure(figsize=(12, height * n_targets), layout="constrained")
     grid = figure.subplots(n_targets, 2, squeeze=False, width_ratios=(3, 2))
     for j, (left, right) in enumerate(grid):
-        rows = density.mean[:, j].argsort(kind="stable")[evenly_spread(len(y), _MOST_DRAWN)]
+        rows = density.mean[:, j].argsort(kind="stable")[evenly_spread(len(y), _MAX_DRAWN)]
         some = PredictiveDensity(density.bins, [part[rows] for part in density.proba])
         place = pd.Series(np.arange(len(rows)), name=f"{len(rows):,} of {len(y):,} unseen rows, by predicted mean")
         draw_regions(regions[rows], y.iloc[rows], place, some, j, left)
@@ -266,7 +266,7 @@ def total_rows(frame: pd.DataFrame) -> pd.Series:
 def doubt_targets(X: pd.DataFrame, y: pd.DataFrame, y_min: float) -> list[str]:
     """Notes on targets that are never negative, whole, or a linear function of other columns."""
     notes = []
-    numbers = X.select_dtypes("float").dropna(axis=1).iloc[:, :_MOST_SOLVED].head(_ROWS_SOLVED)
+    numbers = X.select_dtypes("float").dropna(axis=1).iloc[:, :_MAX_SOLVED].head(_ROWS_SOLVED)
     for name, values in y.items():
         if y_min < 0 <= values.min():
             notes.append(f"note: {name} is never negative; if it cannot be, give --min 0")
@@ -300,12 +300,12 @@ def _useless(column: pd.Series) -> str:
         return "an index"
     gaps = pd.isna(column.to_numpy())  # of NumPy: there may be thousands of columns
     values, missing = column.to_numpy()[~gaps], gaps.mean()
-    if missing > _MOST_MISSING:
+    if missing > _MAX_MISSING:
         return f"{missing:.0%} missing"
     if (values == values[:1]).all():
         return "one value only"
     if column.dtype.kind == "f":
         return "numbers the rows" if len(values) > 2 and (np.diff(values) == 1).all() else ""
-    if column.dtype.kind != "M" and column.nunique() > _MOST_DISTINCT * len(values):
+    if column.dtype.kind != "M" and column.nunique() > _MAX_DISTINCT * len(values):
         return "another text in nearly every row"
     return ""

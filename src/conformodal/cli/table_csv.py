@@ -24,7 +24,7 @@ from conformodal.core.words import counted, listed
 
 _SEPARATORS, _SAMPLE = ";\t,|", 1_000_000  # characters
 _SHOWN = 3  # names in a message
-_LEAST_SHARE = 0.95  # of a column's values that must be numbers, or dates, for it to hold them
+_MIN_SHARE = 0.95  # of a column's values that must be numbers, or dates, for it to hold them
 _DATE = (  # with a year of four digits, or two at the end
     r"^((?P<year>\d{4})|\d{1,2})[-./ ](\d{1,2}|[A-Za-z]{3,9})[-./ ,]{1,2}(?(year)\d{1,2}|\d{2}(?:\d{2})?)(?!\d)"
 )
@@ -278,7 +278,7 @@ def _numbers(file: Path, column: pd.Series, decimal: str, thousands: str | None)
         digits = digits.where(~digits.str.contains(".", regex=False, na=False)).str.replace(decimal, ".", regex=False)
     numbers = pd.to_numeric(digits, errors="coerce")
     grouped &= numbers.isna()
-    if given.empty or (numbers.notna() | grouped).mean() < _LEAST_SHARE:
+    if given.empty or (numbers.notna() | grouped).mean() < _MIN_SHARE:
         return None
     if grouped.any():
         doubt = f"{given[grouped].iloc[0]!r} may have marks between thousands"
@@ -290,7 +290,7 @@ def _dates(column: pd.Series, separator: str, prefers_day_first: bool) -> pd.Ser
     """Dates, in UTC where they have a time zone; None where they are none, or the month is not known."""
     given = column.dropna().str.replace(_COMPACT, r"\1-\2-\3 \4:\5:\6", regex=True)
     parts = given.str.extract(_DATE)
-    if given.empty or parts[0].notna().mean() < _LEAST_SHARE:
+    if given.empty or parts[0].notna().mean() < _MIN_SHARE:
         return None
     first, second = (pd.to_numeric(parts[k], errors="coerce") for k in (0, 2))
     year_first = first > 31
@@ -307,7 +307,7 @@ def _dates(column: pd.Series, separator: str, prefers_day_first: bool) -> pd.Ser
         dates = dates.fillna(pd.to_datetime(given.where(year_first), **how))
     dates = dates.dt.tz_localize(None).reindex(column.index)
     dates.attrs["day_first"] = day_first
-    return dates if dates.notna().sum() >= _LEAST_SHARE * len(given) else None
+    return dates if dates.notna().sum() >= _MIN_SHARE * len(given) else None
 
 
 def _doubts(column: pd.Series, numbers: FloatArray, written: CsvFormat) -> list[str]:

@@ -19,8 +19,8 @@ from .checks import as_doubles, as_finite, as_targets, brief, check_number, not_
 # half the width, relative to the value's size, of the only bin of a target that never changes
 _CONSTANT_HALF_WIDTH = 1e-6
 # least standard deviation of a Gaussian over bin numbers; a narrower one is one-hot, its exponents would overflow
-_LEAST_SIGMA = 1e-100
-_LEAST_WIDTH = 1e-9  # of a distribution, as a share of the range of all bins
+_MIN_SIGMA = 1e-100
+_MIN_WIDTH = 1e-9  # of a distribution, as a share of the range of all bins
 _SHARE_OF_RANGE = Range(0)
 _TOO_FEW_DRAWS = 3  # of a distribution
 
@@ -206,7 +206,7 @@ class QuantileBins:
             (-1, -1, -2, 1 - at[-1], at[-1] - at[-2]),
         ):
             # the density goes on where it was; equal quantiles lend the width that all have on average
-            usual = np.maximum(np.ptp(given, axis=1) / at.size, _LEAST_WIDTH * np.ptp(self.edges_[target]))
+            usual = np.maximum(np.ptp(given, axis=1) / at.size, _MIN_WIDTH * np.ptp(self.edges_[target]))
             width = np.where(given[:, inner] == given[:, end], usual, np.abs(given[:, inner] - given[:, end]))
             beyond = sign * (given[:, [end]] - edges) / (width * mass / step)[:, None]
             tail = mass * np.exp(-np.maximum(beyond, 0))
@@ -245,7 +245,7 @@ class QuantileBins:
         soft = []
         for values, e in zip(arr.T, edges, strict=True):
             k = e.size - 1
-            if sigma_bins < _LEAST_SIGMA:
+            if sigma_bins < _MIN_SIGMA:
                 soft.append((np.arange(k) == nearest_bins(values, e)[:, None]) * 1.0)
                 continue
             at = np.interp(values, e, np.arange(k + 1))

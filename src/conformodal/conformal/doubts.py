@@ -31,13 +31,13 @@ _OUTER = 0.01
 # share of a column's spread by which it is moved, rows that show what follows, and by how much errors then grow
 _MOVED, _FEWEST_TO_MOVE, _GROWN = 0.1, 40, 1.35
 # rows of a forest that stands for the learner
-_MOST_ROWS = 1000
+_MAX_ROWS = 1000
 # rounded targets are equal so many times as often between rows of the same inputs as between those of neighbouring ones
 _CLOSER = 3.0
 # rank correlation with the order from which on a table is sorted by a column; share of equal steps of a clock
 _SORTED, _EVEN = 0.98, 0.95
 # told are units and last rows of which sets for 90 % hold less, and orders in which errors of neighbours correlate more
-_LEAST_HELD, _LEAST_HELD_LATER, _ALIKE = 0.72, 0.8, 0.6
+_MIN_HELD, _MIN_HELD_LATER, _ALIKE = 0.72, 0.8, 0.6
 
 
 class DataWarning(UserWarning):
@@ -206,7 +206,7 @@ def doubt_seen(medians: Callable[[Any], FloatArray], X: Any, y: FloatArray) -> s
     A model is close to values that it has learnt from only at their own inputs: its errors grow as numbers move by a
     tenth of their spread to either side. What it has not seen is as far from it there as at the inputs themselves.
     """
-    rows = np.random.default_rng(0).permutation(len(y))[:_MOST_ROWS]
+    rows = np.random.default_rng(0).permutation(len(y))[:_MAX_ROWS]
     X, y = rows_of(X, rows), y[rows]
     dated = columns_where(X, is_time)
     numbers = [
@@ -286,12 +286,12 @@ def _doubt_units(X: Any, columns: list[Any], matrix: FloatArray, z: FloatArray) 
     for _, name, code in sorted(candidates, key=lambda one: -one[0])[:2]:
         order = np.random.default_rng(0).permutation(code.max() + 1)
         sizes = np.bincount(code)[order]
-        drawn = np.isin(code, order[np.cumsum(sizes) <= max(_MOST_ROWS, sizes[0])])
+        drawn = np.isin(code, order[np.cumsum(sizes) <= max(_MAX_ROWS, sizes[0])])
         if np.unique(code[drawn]).size < 3:
             continue
         usual, new = (np.abs(_left_out(matrix[drawn], z[drawn], of[drawn])) for of in (np.arange(n), code))
         held = (new <= np.quantile(usual, 0.9, axis=0)).mean(axis=0).min()
-        if held < _LEAST_HELD:
+        if held < _MIN_HELD:
             told = f"rows of one {name} are alike: coverage is that of further rows of the same, not of a new {name}"
             return [f"{told}, of which sets for 90 % may hold {held:.0%}; name it as the unit (units=, --unit)"]
     return []
@@ -308,7 +308,7 @@ def _twins_by_rounding(inputs: IntArray, matrix: FloatArray, z: FloatArray) -> f
         return 0.0
     spread = matrix.std(axis=0)
     scaled = matrix[first] / np.where(spread > 0, spread, 1.0)
-    asked = np.random.default_rng(0).permutation(first.size)[:_MOST_ROWS]
+    asked = np.random.default_rng(0).permutation(first.size)[:_MAX_ROWS]
     nearest = NearestNeighbors(n_neighbors=2).fit(scaled).kneighbors(scaled[asked], return_distance=False)
     rows = np.split(np.argsort(inputs, kind="stable"), np.cumsum(sizes)[:-1])
     targets = np.unique(z, axis=0, return_inverse=True)[1].ravel()
@@ -328,7 +328,7 @@ def _doubt_order(X: Any, columns: list[Any], matrix: FloatArray, z: FloatArray) 
     order = np.argsort(dates[0] if dates else index if usable else np.arange(n), kind="stable")
     if not dates and _sorted_by_an_input([*columns, *([index] if index.dtype.kind == "f" and usable else [])], order):
         return []
-    rows = order[:: -(-n // _MOST_ROWS)]
+    rows = order[:: -(-n // _MAX_ROWS)]
     matrix, z = matrix[rows], z[rows]
     if not dates and np.abs(_trends(z)).max(initial=0) > _SORTED:
         return []  # by the target, for show
@@ -339,7 +339,7 @@ def _doubt_order(X: Any, columns: list[Any], matrix: FloatArray, z: FloatArray) 
     errors = _left_out(matrix, z, np.arange(len(z))) if matrix.shape[1] else z
     errors = errors - errors.mean(axis=0)
     alike = ((errors[1:] * errors[:-1]).mean(axis=0) / np.maximum((errors**2).mean(axis=0), 1e-300)).max()
-    if alike < _ALIKE and held >= _LEAST_HELD_LATER:
+    if alike < _ALIKE and held >= _MIN_HELD_LATER:
         return []
     told = f"rows near each other in {'time' if dates else 'order'} are alike (correlation {alike:.2f})"
     if alike < _ALIKE:

@@ -24,16 +24,16 @@ from .settings import VisionError
 _ORB_BYTES, _ORB_CORNERS = 32, 500
 _LEVELS = 4  # of ORB's pyramid; with more, corners come from coarse levels and poses get worse
 _BLUR_PX = 1.2  # before detection: pixel noise of a sigma of 0.2 then leaves descriptors nearly unchanged
-_LEAST_WIDTH_PX = 320  # smaller images are enlarged: descriptors look at 31 pixels around a corner
+_MIN_WIDTH_PX = 320  # smaller images are enlarged: descriptors look at 31 pixels around a corner
 XFEAT_STEP = 32  # the sides of images that its network sees are multiples of it
 _XFEAT_CORNERS, _XFEAT_CHANNELS = 800, 64
 _CELL = 8  # pixels across of XFeat's cells
-_LEAST_HEAT = 0.05  # of a corner
+_MIN_HEAT = 0.05  # of a corner
 _SUPPRESSED_PX = 5  # across; the hottest pixel of a window is its only corner
 _TURNED_MARGIN_PX = 8  # corners of a turned image nearer to its former border are those of the border
 _UNIT = 254.0  # length of directions as bytes: their components rarely exceed a half
 # Matches of bits: ratio of the distances to the nearest and the second nearest (Lowe 2004); of directions: cosine
-_RATIO, _LEAST_COSINE = 0.85, 0.75
+_RATIO, _MIN_COSINE = 0.85, 0.75
 # of matches where a pose says that they are: less than a quarter of the bits differ; cosine
 _GUIDED_BITS, _GUIDED_COSINE = 0.5, 0.75
 
@@ -61,9 +61,9 @@ class LocalFeatures(NamedTuple):
         """Flow (n, 2) of each corner, pixels per second."""
         return np.asarray(self.pixels @ self.flow[:, :2].T + self.flow[:, 2])
 
-    def at_pose_time(self, shutter: FloatArray, camera: PinholeCamera) -> LocalFeatures:
-        """With corners where they are when the pose is taken, see :meth:`PinholeCamera.at_pose_time`."""
-        return self._replace(pixels=camera.at_pose_time(self.pixels, self.flows, shutter))
+    def compensate_rolling_shutter(self, shutter: FloatArray, camera: PinholeCamera) -> LocalFeatures:
+        """With corners where they are when the pose is taken, see :meth:`PinholeCamera.compensate_rolling_shutter`."""
+        return self._replace(pixels=camera.compensate_rolling_shutter(self.pixels, self.flows, shutter))
 
 
 class Corners(NamedTuple):
@@ -99,7 +99,7 @@ class OrbDetector(Detector):
 
     def __call__(self, grey: UInt8Array) -> Corners:
         """Detect and describe corners."""
-        enlarged = -(-_LEAST_WIDTH_PX // grey.shape[1])
+        enlarged = -(-_MIN_WIDTH_PX // grey.shape[1])
         if enlarged > 1:
             grey = np.asarray(cv2.resize(grey, None, fx=enlarged, fy=enlarged), np.uint8)
         grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), _BLUR_PX), np.uint8)
@@ -144,7 +144,7 @@ class XFeatDetector(Detector):
         shares = (odds[:-1] / odds.sum(axis=0)).reshape(_CELL, _CELL, rows, columns)
         heat = np.ascontiguousarray(shares.transpose(2, 0, 3, 1)).reshape(height, width)
         hottest = cv2.dilate(heat, np.ones((_SUPPRESSED_PX, _SUPPRESSED_PX), np.uint8))
-        index = np.flatnonzero((heat == hottest) & (heat > _LEAST_HEAT))
+        index = np.flatnonzero((heat == hottest) & (heat > _MIN_HEAT))
         score = heat.ravel()[index] * cv2.resize(reliability, (width, height)).ravel()[index]
         index = index[np.argsort(-score, kind="stable")[:_XFEAT_CORNERS]]
         # twelve parts of the image: as many numbers as a thumbnail has, which loading a model checks
@@ -244,7 +244,7 @@ def _best_pairs(alike: Float32Array, directed: bool, greatest: float) -> IntArra
     every, nearest = np.arange(len(alike)), alike.argmax(axis=1)
     first = alike[every, nearest]
     if directed:
-        rows = np.flatnonzero((first >= _LEAST_COSINE * greatest) & (first == alike.max(axis=0)[nearest]))
+        rows = np.flatnonzero((first >= _MIN_COSINE * greatest) & (first == alike.max(axis=0)[nearest]))
     else:
         alike[every, nearest] = -np.inf
         rows = np.flatnonzero(greatest - first < _RATIO * (greatest - alike.max(axis=1)))
@@ -254,7 +254,7 @@ def _best_pairs(alike: Float32Array, directed: bool, greatest: float) -> IntArra
     return np.column_stack((rows, nearest[rows])).astype(np.int64)
 
 
-def alike_enough(descriptors: Descriptors, others: Descriptors) -> tuple[Float32Array, BoolArray]:
+def similar_enough(descriptors: Descriptors, others: Descriptors) -> tuple[Float32Array, BoolArray]:
     """Similarity (n,) of rows one by one, and whether it is enough where a pose says that they match."""
     if descriptors.dtype == np.int8:
         alike = np.einsum("ij,ij->i", _numbers(descriptors), _numbers(others)) / np.float32(_greatest(descriptors))
@@ -324,6 +324,6 @@ class QualityRange:
         low, high = qualities.min(axis=0), qualities.max(axis=0)
         return cls(low - _MARGIN * (high - low), high + _MARGIN * (high - low))
 
-    def left_by(self, qualities: FloatArray) -> BoolArray:
+    def is_outside(self, qualities: FloatArray) -> BoolArray:
         """(n,) whether a quality (n, 3) is out of range; False where it was not measured."""
         return np.asarray(((qualities < self.low) | (qualities > self.high)).any(axis=1))

@@ -29,7 +29,7 @@ POSITIONS, INVERSE_DEPTHS = slice(0, 3), slice(3, 4)
 
 _Matrix: TypeAlias = Any  # sparse or dense, which one operator multiplies alike
 
-_DAMPING, _LEAST_DAMPING = 1e-4, 1e-9  # of Levenberg-Marquardt, at first and at least
+_DAMPING, _MIN_DAMPING = 1e-4, 1e-9  # of Levenberg-Marquardt, at first and at least
 _DAMPINGS = 8  # tried in one iteration
 _FEW_CAMERAS = 16  # up to which the equations of cameras are solved directly
 # residual, as a share of the gradient, at which conjugate gradients end. With 1e-2 to 1e-4 maps localise alike
@@ -114,7 +114,7 @@ class Adjustment:
             for _ in range(_DAMPINGS):
                 trial = self.evaluate(equations.step(fit.bundle, damping))
                 if trial.cost <= fit.cost:
-                    damping = max(damping / 10, _LEAST_DAMPING)
+                    damping = max(damping / 10, _MIN_DAMPING)
                     break
                 damping *= 10
             else:

@@ -83,7 +83,7 @@ class PinholeCamera:
         ideal = undistort_points(pixels[:, None], self.matrix, lens, R=np.eye(3), P=self.matrix, criteria=until)
         return np.asarray(ideal, dtype=np.float64)[:, 0]
 
-    def at_pose_time(self, pixels: FloatArray, flow: FloatArray, shutter: FloatArray) -> FloatArray:
+    def compensate_rolling_shutter(self, pixels: FloatArray, flow: FloatArray, shutter: FloatArray) -> FloatArray:
         """Where undistorted pixels (..., 2) are when the given pose is taken, from their flow (..., 2).
 
         `shutter` are the seconds by which the middle row is late, and those between the first row and the last.

@@ -32,15 +32,15 @@ _SCALE_PX = 1.5  # of the Cauchy loss
 # prior standard deviations: of the logarithm of the focal length, of the mount's angles and of its position in scene
 # depths, and of the shutter's delays
 _SIGMA_LOG_FOCAL, _SIGMA_MOUNT_RAD, _SIGMA_MOUNT_DEPTHS, _SIGMA_S = 0.2, 0.05, 0.05, 0.02
-_MOST_SIGMAS = 3.0  # further off, the poses do not belong to the images
+_MAX_SIGMAS = 3.0  # further off, the poses do not belong to the images
 
 ROUNDS = 2  # of triangulation and adjustment; sigmas and mount are learnt after each
-LEAST_PER_FRAME = 20.0  # observations, on average: with fewer, poses stay as given
+MIN_PER_FRAME = 20.0  # observations, on average: with fewer, poses stay as given
 # standard deviations of the given poses at first, and the share to which a round may lower them
-SIGMA_RAD, SIGMA_DEPTHS, _LEAST_SIGMA = float(np.radians(1.0)), 0.01, 0.05
+SIGMA_RAD, SIGMA_DEPTHS, _MIN_SIGMA = float(np.radians(1.0)), 0.01, 0.05
 _SIGMA_ADJUSTED_FOCAL = 0.02  # of the logarithm of the focal length
 _ITERATIONS, _ENOUGH = 8, 3e-3  # of one adjustment, and the share of the cost below which an iteration ends it
-_TRACKS, _LEAST_VIEWS = 80, 3  # of each frame, the longest first
+_TRACKS, _MIN_VIEWS = 80, 3  # of each frame, the longest first
 
 
 class Matches(NamedTuple):
@@ -51,21 +51,21 @@ class Matches(NamedTuple):
     flows: FloatArray  # (m, 2, 2) of the same, pixels per second
 
 
-class Mounted(NamedTuple):
+class RigCalibration(NamedTuple):
     """A camera without distortion, and ``T_pose_cam`` (4, 4) from its frame to the one whose poses are given."""
 
     camera: PinholeCamera
     T_pose_cam: FloatArray
-    shutter: FloatArray = _NO_DELAY  # (2,), see PinholeCamera.at_pose_time
+    shutter: FloatArray = _NO_DELAY  # (2,), see PinholeCamera.compensate_rolling_shutter
 
 
-def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, depth_m: float) -> Mounted:
+def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, depth_m: float) -> RigCalibration:
     """The camera with the smallest epipolar errors of matches, by robust least squares.
 
     It is fitted to half of the matches. Where it does not reduce the errors of the other half, or is far from the given
     one, the given one is returned. Delays that are out of range are left out, and the rest is judged without them.
     """
-    given = Mounted(replace(camera, distortion=()), np.eye(4))
+    given = RigCalibration(replace(camera, distortion=()), np.eye(4))
     if len(matches.frames) < _LEAST:
         return given
     order = np.random.default_rng(0).permutation(len(matches.frames))[:_MOST]
@@ -81,26 +81,26 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
         return np.concatenate((errors / _SCALE_PX, unknowns))
 
     unknowns = least_squares(residuals, np.zeros(9), loss="cauchy", max_nfev=30).x
-    if np.abs(unknowns[7:]).max() >= _MOST_SIGMAS:
+    if np.abs(unknowns[7:]).max() >= _MAX_SIGMAS:
         unknowns[7:] = 0
     better = _mounted(given, unknowns * spreads)
     before, after = (float(np.median(np.abs(_epipolar_errors_px(m, checked, poses_se3)))) for m in (given, better))
-    return better if after < before and np.abs(unknowns).max() < _MOST_SIGMAS else given
+    return better if after < before and np.abs(unknowns).max() < _MAX_SIGMAS else given
 
 
-def _mounted(given: Mounted, unknowns: FloatArray) -> Mounted:
+def _mounted(given: RigCalibration, unknowns: FloatArray) -> RigCalibration:
     factor = float(np.exp(unknowns[0]))
     T_pose_cam = rigid_motions(Rotation.from_rotvec(unknowns[1:4]).as_matrix(), unknowns[4:7])
     camera = given.camera
-    return Mounted(replace(camera, fx=camera.fx * factor, fy=camera.fy * factor), T_pose_cam, unknowns[7:])
+    return RigCalibration(replace(camera, fx=camera.fx * factor, fy=camera.fy * factor), T_pose_cam, unknowns[7:])
 
 
-def _epipolar_errors_px(mounted: Mounted, matches: Matches, poses_se3: FloatArray) -> FloatArray:
+def _epipolar_errors_px(mounted: RigCalibration, matches: Matches, poses_se3: FloatArray) -> FloatArray:
     """Signed first-order distances (m,) from the epipolar constraint, in pixels (Sampson)."""
     camera = mounted.camera
     poses = poses_se3 @ mounted.T_pose_cam
     (Ri, ci), (Rj, cj) = ((poses[f, :3, :3], poses[f, :3, 3]) for f in matches.frames.T)
-    plane = camera.on_plane(camera.at_pose_time(matches.pixels, matches.flows, mounted.shutter))
+    plane = camera.on_plane(camera.compensate_rolling_shutter(matches.pixels, matches.flows, mounted.shutter))
     rays = np.concatenate((plane, np.ones((*plane.shape[:2], 1))), axis=2)
     baseline = np.einsum("mba,mb->ma", Rj, ci - cj)
     line_j = np.cross(baseline, np.einsum("mba,mbc,mc->ma", Rj, Ri, rays[:, 0]))
@@ -110,7 +110,7 @@ def _epipolar_errors_px(mounted: Mounted, matches: Matches, poses_se3: FloatArra
     return np.asarray(distance * (camera.fx + camera.fy) / 2)
 
 
-class Sightings(NamedTuple):
+class InlierRays(NamedTuple):
     """Rays that agree with the point of a corner that enough frames see, corner by corner."""
 
     corner: IntArray  # (m,) whose point it is, and
@@ -136,7 +136,7 @@ class MapPoses:
     Sigmas are radians in the camera's frame, and metres.
     """
 
-    mounted: Mounted
+    mounted: RigCalibration
     poses_cam: FloatArray
     sigmas: FloatArray
 
@@ -166,7 +166,7 @@ class MapPoses:
         )
         off = np.abs(priors._replace(poses=poses_se3 @ mounted.T_pose_cam).deviations(bundle))
         spread = np.repeat([np.median(off[:, :3]), np.median(off[:, 3:])], 3) / MAD_OF_NORMAL
-        sigmas = np.maximum(spread, _LEAST_SIGMA * self.sigmas)
+        sigmas = np.maximum(spread, _MIN_SIGMA * self.sigmas)
         return replace(self, mounted=mounted, poses_cam=poses_cam, sigmas=sigmas)
 
     def corrections(self, poses_se3: FloatArray) -> FloatArray:
@@ -176,7 +176,7 @@ class MapPoses:
         return np.concatenate((poses[:, :3, 3] - poses_se3[:, :3, 3], turns), axis=1)
 
 
-def agreeing(rays: Rays, points: Points, tolerance: float) -> Sightings:
+def inlier_rays(rays: Rays, points: Points, tolerance: float) -> InlierRays:
     """The rays within a tolerance (at depth 1) of their corners' points, where three or more frames agree on these."""
     R = rays.R_world_cam[rays.camera]
     local = np.einsum("mba,mb->ma", R, np.nan_to_num(points.xyz[rays.corner]) - rays.centres[rays.camera])
@@ -184,12 +184,12 @@ def agreeing(rays: Rays, points: Points, tolerance: float) -> Sightings:
     plane = local[:, :2] / np.where(ahead, local[:, 2], 1.0)[:, None]
     near = np.linalg.norm(plane - rays.plane, axis=1) < tolerance
     kept = points.reliable[rays.corner] & ahead & near
-    kept &= (np.bincount(rays.corner[kept], minlength=len(points.xyz)) >= _LEAST_VIEWS)[rays.corner]
+    kept &= (np.bincount(rays.corner[kept], minlength=len(points.xyz)) >= _MIN_VIEWS)[rays.corner]
     corner, first = rays.corner[kept], rays.number[rays.first]
-    return Sightings(first[corner], rays.number[kept], rays.camera[kept], rays.plane[kept], points.xyz[corner])
+    return InlierRays(first[corner], rays.number[kept], rays.camera[kept], rays.plane[kept], points.xyz[corner])
 
 
-def choose_tracks(chunks: Sequence[Sightings], n_frames: int) -> Tracks:
+def choose_tracks(chunks: Sequence[InlierRays], n_frames: int) -> Tracks:
     """Long tracks, so many that each frame has enough.
 
     A corner is in one track at most, so no observation counts twice.
@@ -205,7 +205,7 @@ def choose_tracks(chunks: Sequence[Sightings], n_frames: int) -> Tracks:
         if used[corner[start]]:
             continue
         unused = np.arange(start, end)[~used[number[start:end]]]
-        if len(unused) >= _LEAST_VIEWS and tracks_per_frame[frame[unused]].min() < _TRACKS:
+        if len(unused) >= _MIN_VIEWS and tracks_per_frame[frame[unused]].min() < _TRACKS:
             used[number[unused]] = True
             tracks_per_frame[frame[unused]] += 1
             rows.append(unused)

@@ -39,7 +39,7 @@ class Points(NamedTuple):
     reliable: BoolArray
 
 
-def nearest_kilometres(positions_xyz: FloatArray) -> FloatArray:
+def local_origin(positions_xyz: FloatArray) -> FloatArray:
     """The mean (3,) of positions (n, 3), rounded to 1000 m; zeros near the world's own origin.
 
     Relative to it, squares and single precision lose nothing.
@@ -53,7 +53,7 @@ def triangulate(rays: Rays, tolerance: float) -> Points:
     A point is reliable if its own frame and another one agree on it within the tolerance (radians), it lies in front of
     both, and their rays differ by 2.5 degrees. Corners that no other camera sees near the epipolar line have no point.
     """
-    origin = nearest_kilometres(rays.centres)
+    origin = local_origin(rays.centres)
     R, centres = rays.R_world_cam[rays.camera], (rays.centres - origin)[rays.camera]
     local, first = np.column_stack((rays.plane, np.ones(len(rays.plane)))), rays.first
     world = (R @ local[:, :, None])[:, :, 0]

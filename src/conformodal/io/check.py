@@ -17,12 +17,12 @@ from .diagnosis.order import diagnose
 from .diagnosis.stale import STALE_PICTURES
 from .errors import ImageError
 from .frame_table import CONVERTED, INTERPOLATED, OWN_SCALE
-from .reading import by_what
+from .reading import group_by_kind
 from .recording import Recording
 
 # A step in time longer than this many usual ones is a gap; one in space, a jump.
 _GAP, _JUMP = 3.0, 10.0
-_LEAST_JUMP_M = 0.05
+_MIN_JUMP_M = 0.05
 # What a reader did, and nothing that is wrong.
 _NOTES = {SCALED, OTHER_CAMERA, TURNED, INTERPOLATED, CONVERTED, OF_LAYOUT, OWN_SCALE}
 
@@ -61,7 +61,7 @@ def check_recording(sequence: Recording, progress: Progress | None = None) -> Da
     steps = np.diff(sequence.timestamps_s)[linked]
     usual = float(np.median(steps)) if steps.size else float("nan")
     findings = [
-        Finding(what, len(where), where[0], what not in _NOTES) for what, where in by_what(sequence.notes).items()
+        Finding(what, len(where), where[0], what not in _NOTES) for what, where in group_by_kind(sequence.notes).items()
     ]
 
     def add(what: str, at: list[int], *, wrong: bool = True) -> None:
@@ -77,7 +77,7 @@ def check_recording(sequence: Recording, progress: Progress | None = None) -> Da
         extent, path = np.ptp(positions, axis=0).round(4).tolist(), round(float(lengths.sum()), 4)
         speed = lengths / np.maximum(steps, 1e-9)
         if speed.size:
-            jumps = (speed > _JUMP * np.median(speed)) & (lengths > _LEAST_JUMP_M)
+            jumps = (speed > _JUMP * np.median(speed)) & (lengths > _MIN_JUMP_M)
             add(f"position jumps, more than {_JUMP:g} times as fast as usual, before", (linked[jumps] + 1).tolist())
     told = any(note.what == UNLIKELY_CAMERA for note in sequence.notes)  # which explains poses that do not fit
     if sequence.poses is not None and not told and (cause := diagnose(sequence)):

@@ -18,10 +18,10 @@ from conformodal.core.files import foreign_kind, kind_of_file
 from .errors import DatasetError, ImageError
 
 _FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM", "GIF")
-_MOST_PIXELS = 64_000_000  # no camera has more, and a small file that claims them would fill the memory
+_MAX_PIXELS = 64_000_000  # no camera has more, and a small file that claims them would fill the memory
 _ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
 _ORIENTATION, _PHOTOMETRIC, _SIDEWAYS = 0x0112, 0x0106, 5
-_WIDEST, _LEAST_WHITE = 65535, 64  # of 16 bits; of 255, in the brightest image of a data set
+_WIDEST, _MIN_WHITE = 65535, 64  # of 16 bits; of 255, in the brightest image of a data set
 _SAMPLES = 9
 TURNED = "images are turned"
 THUMBNAIL = (32, 24)
@@ -74,7 +74,7 @@ def refuse_few_bits(paths: list[Path]) -> None:
         with suppress(ImageError), _opened(path, "") as image:
             if _is_wide(image):
                 brightest.append(int(decode(path, "").max()))
-    if brightest and max(brightest) < _LEAST_WHITE:
+    if brightest and max(brightest) < _MIN_WHITE:
         what = "has 16 bits, and images use less than a quarter of their range"
         raise DatasetError(f"{paths[0]}: {what}; scale all by one factor")
 
@@ -149,8 +149,8 @@ def _opened(source: Path | bytes, name: str) -> Image.Image:
 
 def _fault(image: Image.Image) -> str:
     """Why an image is not read, although it is one."""
-    if image.width * image.height > _MOST_PIXELS:
-        return f"claims {image.width}x{image.height} pixels, expected at most {_MOST_PIXELS}"
+    if image.width * image.height > _MAX_PIXELS:
+        return f"claims {image.width}x{image.height} pixels, expected at most {_MAX_PIXELS}"
     n_pictures = 1 if image.format == "MPO" else getattr(image, "n_frames", 1)
     if n_pictures != 1:
         return f"holds {n_pictures} pictures, expected one; write each into a file of its own"

@@ -26,7 +26,7 @@ from .diagnosis.clocks import clock_hint, doubt_rate, in_seconds
 from .diagnosis.stale import STALE_PICTURES, STALE_POSES, describe_stretches, stale_pictures, stale_poses
 from .errors import DatasetError, DatasetWarning
 from .pose_files import Faults, PoseRows, matrices_of, table_of
-from .reading import BETWEEN_RECORDINGS_S, Note, by_what, read_numbers
+from .reading import BETWEEN_RECORDINGS_S, Note, group_by_kind, read_numbers
 from .recording import Recording
 
 NO_POSE = "no pose"
@@ -179,7 +179,7 @@ class FrameTable:
             unit=self.unit,
         )
         notes += _unlikely(recording)
-        for what, places in by_what(notes).items():
+        for what, places in group_by_kind(notes).items():
             warnings.warn(f"{self.name}: {len(places)} x {what}: {places[0]}", DatasetWarning, stacklevel=3)
         return replace(recording, notes=tuple(notes))
 

@@ -26,7 +26,7 @@ from .reading import number, numbers_in, parse_lines, read_lines, tokens, whole_
 TUM_HEADER = "# timestamp tx ty tz qx qy qz qw  (seconds, metres, camera to world)"
 Faults = dict[int, str]  # by row
 # Farther away than any place, in metres: squares of larger numbers overflow.
-_MOST_M = 1e9
+_MAX_M = 1e9
 _HEAD_LINES = 5
 _LOST_STEPS, _LARGE = 10, 95  # from the identity to the poses around it, each as large as this percentile
 _EUROC = 17  # numbers of a line, velocity and biases among them
@@ -171,17 +171,17 @@ def _timed(path: Path, parse: Callable[[str], list[float]], expected: str, order
 def pose_faults(positions: FloatArray, quats: FloatArray) -> Faults:
     """Faults of positions (n, 3) and quaternions (n, 4); rows of NaN are left out."""
     with np.errstate(over="ignore", invalid="ignore"):
-        far = np.abs(positions).max(axis=1, initial=0.0) > _MOST_M
+        far = np.abs(positions).max(axis=1, initial=0.0) > _MAX_M
         length = np.linalg.norm(quats, axis=1)
         short = (length <= 1e-12) | np.isinf(length)
-    faults = dict.fromkeys(np.flatnonzero(far).tolist(), f"its position is more than {_MOST_M:g} m away")
+    faults = dict.fromkeys(np.flatnonzero(far).tolist(), f"its position is more than {_MAX_M:g} m away")
     return faults | dict.fromkeys(np.flatnonzero(short).tolist(), "its quaternion has no direction")
 
 
 def lost_faults(positions: FloatArray, identity: BoolArray) -> Faults:
     """Faults of poses that are exactly the identity and far from those around: as of a lost camera."""
     # those at the start may be the origin of a path that goes on after a pause, as that of SLAM
-    at, others = np.flatnonzero(identity), np.flatnonzero(~identity & (np.abs(positions) <= _MOST_M).all(axis=1))
+    at, others = np.flatnonzero(identity), np.flatnonzero(~identity & (np.abs(positions) <= _MAX_M).all(axis=1))
     at = at[at > others[0]] if others.size else at[:0]
     steps = np.linalg.norm(np.diff(positions[others], axis=0), axis=1)
     if not at.size or not (steps > 0).any():

@@ -36,7 +36,7 @@ class Note(NamedTuple):
     where: str
 
 
-def by_what(notes: Iterable[Note]) -> dict[str, list[str]]:
+def group_by_kind(notes: Iterable[Note]) -> dict[str, list[str]]:
     """Where each kind of notes was found."""
     places: dict[str, list[str]] = {}
     for note in notes:

@@ -31,17 +31,17 @@ from conformodal.geometry import Trajectory, fix_sign, normalise_quat
 from .evidence import PoseMeasurement
 
 TARGET_NAMES = ("x", "y", "z", "q_w", "q_x", "q_y", "q_z")  # of a pose: position, and quaternion
-LEAST_VARIANCE = 1e-12  # m^2 and rad^2: a covariance can be inverted
+MIN_VARIANCE = 1e-12  # m^2 and rad^2: a covariance can be inverted
 MOST = 48  # candidates of a frame
 # probability below which a candidate is dropped, unless it is the most probable one. Chosen on seeds 20 and 21:
 # at 1e-4, frames without the true room make the corridor's path 4 times worse
-_LEAST_MASS = 1e-6
+_MIN_MASS = 1e-6
 # two peaks of a softmax are two modes where the probability between them falls below this share of the lower one
 _VALLEY_SHARE = 0.5
 # standard deviation of the norm of a quaternion whose components were chosen one by one: the further from one, the
 # less they fit together
 _NORM_SIGMA = 0.1
-_LEAST_PROBABILITY = 0.01  # of an inlier and of an outlier
+_MIN_PROBABILITY = 0.01  # of an inlier and of an outlier
 # Squared Mahalanobis distance (six degrees of freedom) up to which two estimates agree; of those that are right and
 # independent, 24 % are further apart. Chosen on seeds 20 and 21: beyond, sources that err by more pull at better ones
 AGREE = 8.0
@@ -81,7 +81,7 @@ def mixture_covariance(candidates: Candidates, position_xyz: FloatArray, quat_wx
     off = np.concatenate((candidates.positions_xyz - position_xyz, turned), axis=1)
     turning = np.repeat(candidates.orientation_spreads_rad[:, None], 3, axis=1)
     spreads = np.concatenate((candidates.position_spreads, turning), axis=1)
-    moments = (weights[:, None] * off).T @ off + np.diag(weights @ spreads**2 + LEAST_VARIANCE)
+    moments = (weights[:, None] * off).T @ off + np.diag(weights @ spreads**2 + MIN_VARIANCE)
     return np.asarray((moments + moments.T) / 2)
 
 
@@ -97,7 +97,7 @@ def mode_candidates(proba: Probabilities, bins: QuantileBins) -> list[Candidates
     for i in range(len(proba[0])):
         rows = [p[i].astype(np.float64) for p in proba]
         targets = [_described(p, _basins(p), e) for p, e in zip(rows, bins.edges_, strict=True)]
-        candidates.append(_combine(targets, np.log(_LEAST_MASS)))
+        candidates.append(_combine(targets, np.log(_MIN_MASS)))
     return candidates
 
 
@@ -221,7 +221,7 @@ def fuse(modes: Candidates, answers: Sequence[Sequence[PoseMeasurement]]) -> Mix
 def inlier_odds(estimates: Sequence[PoseMeasurement]) -> tuple[float, FloatArray]:
     """Log probabilities that none of one source's estimates is right, and that each is."""
     stated = [estimate.inlier_probability for estimate in estimates]
-    probability = np.clip(stated, _LEAST_PROBABILITY, 1 - _LEAST_PROBABILITY)
+    probability = np.clip(stated, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)
     odds = probability / (1 - probability)
     total = 1 + odds.sum()
     return float(-np.log(total)), np.asarray(np.log(odds / total))
@@ -274,5 +274,5 @@ def _most_probable(parts: Sequence[Candidates], measured: BoolArray) -> Mixture:
     joined = Candidates.concatenate(parts).normalised()
     log_mass = joined.log_mass
     order = np.argsort(-log_mass, kind="stable")[:MOST]
-    order = order[log_mass[order] >= min(np.log(_LEAST_MASS), log_mass[order[0]])]
+    order = order[log_mass[order] >= min(np.log(_MIN_MASS), log_mass[order[0]])]
     return Mixture(joined.take(order), measured[order])

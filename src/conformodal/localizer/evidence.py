@@ -18,10 +18,10 @@ from conformodal.features.backbone import coarse_features
 from conformodal.features.local import LocalFeatures
 from conformodal.geometry.adjustment import MEDIAN_OF_NORM3, TAIL_OF_NORM3
 
-LEAST_ESTIMATES = 20  # that errors are learnt from
+MIN_ESTIMATES = 20  # that errors are learnt from
 _OUTLIER = 5.0  # standard deviations
 _SAME_ORIENTATION_RAD = 1.0  # an estimate rotated by more is another pose, however near
-_LEAST_DISTANCE = 0.005  # scene depths plus radians: nearer to known frames, errors do not shrink further
+_MIN_DISTANCE = 0.005  # scene depths plus radians: nearer to known frames, errors do not shrink further
 _MAX_GROWTH = 2.0  # exponent of a power law
 
 
@@ -98,7 +98,7 @@ class ErrorModel:
     def apply(self, estimate: PoseMeasurement, *support: float) -> PoseMeasurement:
         """The estimate with calibrated standard deviations and inlier probability, in place of the predicted ones."""
         odds = self.log_odds + float(np.dot(self.slopes, np.log(support)))
-        away = max(estimate.distance_to_known, _LEAST_DISTANCE)
+        away = max(estimate.distance_to_known, _MIN_DISTANCE)
         return replace(
             estimate,
             sigma_m=self.position * estimate.sigma_m**self.position_growth * away**self.position_distance,
@@ -138,9 +138,9 @@ def fit_error_model(errors: HeldOutErrors, same_place_m: float) -> ErrorModel | 
     An estimate more than `same_place_m` off is of another place: an outlier, not an error of measurement.
     """
     near = (errors.error_m < same_place_m) & (errors.error_rad < _SAME_ORIENTATION_RAD)
-    if near.sum() < LEAST_ESTIMATES:
+    if near.sum() < MIN_ESTIMATES:
         return None
-    distance = np.maximum(errors.distance, _LEAST_DISTANCE)
+    distance = np.maximum(errors.distance, _MIN_DISTANCE)
     position = _power_law(errors.error_m[near], errors.sigma_m[near], distance[near])
     rotation = _power_law(errors.error_rad[near], errors.sigma_rad[near], distance[near])
     sigma = position[0] * errors.sigma_m ** position[1] * distance ** position[2]

@@ -47,7 +47,7 @@ _JUMP = 1e-4  # probability that the camera is anywhere in the next frame: a cut
 # few wrong images had led away came back after a dozen right ones
 _FOLLOWED_JUMP = 1e-6
 _ROTATION_OUTLIER = 1e-6  # probability that a measured relative rotation is an outlier
-_LEAST_MASS = 1e-10  # hypotheses of less probability are dropped
+_MIN_MASS = 1e-10  # hypotheses of less probability are dropped
 _FROM_IMAGE = 4  # most probable hypotheses of the newest image that stay beside those of the largest mass
 LAG = 10  # frames of a stream whose answer is revised in hindsight
 
@@ -102,7 +102,7 @@ def predict(
         ahead, log_mass=hypotheses.normalised().log_mass + np.minimum(np.log(prior.volume_m3 * _ROTATIONS) - widths, 0)
     )
     elsewhere = 1 - (1 - jump) * (1 - neighbour.elsewhere) * float(np.exp(ahead.log_mass).sum())
-    elsewhere = min(max(elsewhere, jump), 1 - _LEAST_MASS)
+    elsewhere = min(max(elsewhere, jump), 1 - _MIN_MASS)
     return Prediction(ahead, quats, loose, measured, elsewhere, unseen_s)
 
 
@@ -166,9 +166,9 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     order = np.argsort(-joined.log_mass, kind="stable")
     # many hypotheses of one place must not crowd out what the next images may speak for
     stays = (np.arange(len(order)) < MOST) | (order < _FROM_IMAGE)
-    kept = joined.take(order[stays & (joined.log_mass[order] >= np.log(_LEAST_MASS))]).normalised()
+    kept = joined.take(order[stays & (joined.log_mass[order] >= np.log(_MIN_MASS))]).normalised()
     elsewhere = float(np.exp(nowhere - np.logaddexp(total, nowhere)))
-    return Posterior(kept, min(max(elsewhere, _LEAST_MASS), 1 - _LEAST_MASS))
+    return Posterior(kept, min(max(elsewhere, _MIN_MASS), 1 - _MIN_MASS))
 
 
 def tempered(evidence: Candidates, power: float, prior: MotionPrior) -> Candidates:

@@ -40,10 +40,10 @@ RECOGNISED = 0.9  # inlier probability from which an estimate by local features 
 # that of the place: the product then has a variance smaller by a tenth or more
 _USEFUL = 3.0
 _NEGLIGIBLE = 1e-3  # hypotheses of less probability are left out of the marginals
-_LEAST_ANGLE = 1e-4
+_MIN_ANGLE = 1e-4
 # least share of the image's own belief in a region from a posterior. Chosen on seeds 20 to 22 of redkitchen `blocks`
 # and 20 of the demo
-_LEAST_SHARE = 0.02
+_MIN_SHARE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Beliefs:
         mixtures = []
         for mixture, posterior in zip(self.mixtures, posteriors, strict=True):
             from_posterior = np.ones(len(posterior.hypotheses.log_mass), dtype=np.bool_)
-            joined = posterior.with_image(mixture.candidates, _LEAST_SHARE)
+            joined = posterior.with_image(mixture.candidates, _MIN_SHARE)
             mixtures.append(Mixture(joined, np.concatenate((from_posterior, mixture.measured))))
         return Beliefs(self.proba, mixtures, self.estimates)
 
@@ -294,7 +294,7 @@ def _as_targets(mixture: Mixture, rows: BoolArray, sign_reference: FloatArray) -
     hypotheses = mixture.candidates
     quats = fix_sign(hypotheses.orientations_quat_wxyz[rows], sign_reference)
     # a rotation by a small angle moves a unit quaternion by half of it, orthogonally to itself
-    angle = hypotheses.orientation_spreads_rad[rows, None] / 2 * np.sqrt(np.maximum(1 - quats**2, _LEAST_ANGLE))
+    angle = hypotheses.orientation_spreads_rad[rows, None] / 2 * np.sqrt(np.maximum(1 - quats**2, _MIN_ANGLE))
     return (
         np.concatenate((hypotheses.positions_xyz[rows], quats), axis=1),
         np.concatenate((hypotheses.position_spreads[rows], angle), axis=1),

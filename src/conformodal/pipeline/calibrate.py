@@ -32,8 +32,8 @@ from .config import ModelConfig, OdometryError
 from .model import HINDSIGHT, ONLINE, PATHS, PathRule, SourceComparison, path_rule
 from .training_data import Folds
 
-_MOST_COMPARED = 120  # each is answered twice
-_MOST_DISTURBED, _DISTURBED_SEED = 200, 0  # calibration frames, and the seed of kinds and strengths
+_MAX_COMPARED = 120  # each is answered twice
+_MAX_DISTURBED, _DISTURBED_SEED = 200, 0  # calibration frames, and the seed of kinds and strengths
 
 
 def score_beliefs(rule: SplitConformal, localizer: Localizer, beliefs: Beliefs, targets: FloatArray) -> RealArray:
@@ -180,10 +180,10 @@ def calibrate_disturbed(
     sequence = replace(data.sequence, noise=Disturbance(_DISTURBED_SEED, data.sequence.noise))
     parts: list[_Disturbed] = []
     for fold, localizer in zip(folds.folds, localizers, strict=True):
-        most = -(-_MOST_DISTURBED // len(folds.folds))
+        most = -(-_MAX_DISTURBED // len(folds.folds))
         frames = fold.held_out[:: -(-len(fold.held_out) // most)]
         copies = in_threads(partial(frame_features, sequence, detector=data.detector), frames.tolist())
-        left = quality.left_by(np.array([one.quality for one in copies]))
+        left = quality.is_outside(np.array([one.quality for one in copies]))
         if not left.any():
             continue
         frames, copies = frames[left], [one for one, counts in zip(copies, left, strict=True) if counts]
@@ -297,7 +297,7 @@ def compare_sources(
 
     None if no frame shows a known place.
     """
-    frames = frames[evenly_spread(len(frames), _MOST_COMPARED)]
+    frames = frames[evenly_spread(len(frames), _MAX_COMPARED)]
 
     def answered(by: Localizer, rows: IntArray) -> tuple[BoolArray, RealArray, BoolArray]:
         images = _evidence(data, frames[rows], local=rules.recognised is not None)

@@ -44,7 +44,7 @@ def describe_guarantee(model: PoseModel) -> str:
         text += " It does not reach the test frames, which were not drawn at random: the data set names them."
     if comparison is not None:
         text += f" {comparison.describe()}."
-    if comparison is not None and comparison.too_sure:
+    if comparison is not None and comparison.overconfident:
         text += " So the guarantee does not hold: calibrate on recordings (more of them) or with --calibration frames."
     return text
 
@@ -52,7 +52,7 @@ def describe_guarantee(model: PoseModel) -> str:
 def short_guarantee(model: PoseModel) -> str:
     """What the model's regions guarantee, in half a sentence; or why they do not."""
     rule, comparison, asked = model.calibration, model.comparison, f"{100 * (1 - model.alpha):g} %"
-    if comparison is not None and comparison.too_sure:
+    if comparison is not None and comparison.overconfident:
         share = 100 * comparison.covered[0]
         return (
             f"no guarantee of the {asked} asked for: regions hold the pose in {share:.0f} % of "

@@ -102,7 +102,7 @@ class SourceComparison:
         return held[0] / self.n_frames, held[1] / self.n_frames
 
     @property
-    def too_sure(self) -> bool:
+    def overconfident(self) -> bool:
         """Whether the model's regions contain fewer poses, by more than two standard errors of independent frames."""
         return self.n_folds_only - self.n_model_only > _SIGMAS * sqrt(self.n_folds_only + self.n_model_only)
 
@@ -245,7 +245,7 @@ class PoseModel:
         beliefs, p = self.localizer.beliefs(evidence), np.full(len(evidence), np.nan)
         disturbed: BoolArray | bool = False
         if self.quality is not None and evidence.local_features:
-            disturbed = self.quality.left_by(evidence.quality)
+            disturbed = self.quality.is_outside(evidence.quality)
         if self.novelty is not None:
             p = self.novelty.p_values(evidence, beliefs.recognition)
         kinds = self.rules.kinds(p, beliefs.recognised, disturbed)

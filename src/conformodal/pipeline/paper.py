@@ -25,7 +25,7 @@ from .estimator import InputWatch, Odometry
 from .model import PAPERS_METHOD, Localization, PoseModel
 from .stream import as_trajectory
 
-_LEAST_NORM = 1e-6
+_MIN_NORM = 1e-6
 
 
 class PaperOdometry(Odometry):
@@ -112,7 +112,7 @@ class Greedy:
         spreads = np.array([runs.spread[k] for runs, k in zip(here, best, strict=True)])
         self._place = chosen[:3]
         norm = float(np.linalg.norm(chosen[3:]))
-        if norm > _LEAST_NORM:  # components that cancel say nothing
+        if norm > _MIN_NORM:  # components that cancel say nothing
             self._quat = chosen[3:] / norm
         turn = 2 * np.sqrt(np.mean(spreads[3:] ** 2))  # a quaternion moves half as far as the rotation turns
         times, turns = np.array([timestamp_s]), np.array([turn])

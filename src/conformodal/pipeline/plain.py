@@ -17,7 +17,7 @@ from conformodal.geometry import Trajectory, normalise_quat
 
 from .training_data import TrainingData
 
-_LEAST_SCALE = 1e-6  # of a target that does not vary
+_MIN_SCALE = 1e-6  # of a target that does not vary
 
 
 @dataclass(eq=False)
@@ -56,7 +56,7 @@ def known_frames(data: TrainingData) -> IntArray:
 def scaling(data: TrainingData) -> tuple[FloatArray, FloatArray]:
     """Mean and scale (7,) of the targets of all known frames."""
     targets = data.targets[known_frames(data)]
-    return targets.mean(axis=0), np.maximum(targets.std(axis=0), _LEAST_SCALE)
+    return targets.mean(axis=0), np.maximum(targets.std(axis=0), _MIN_SCALE)
 
 
 def fit_values(data: TrainingData, standard: FloatArray, rows: IntArray, config: TrainingConfig) -> Head:

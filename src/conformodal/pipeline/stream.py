@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 # sees as many frames before them: what is further away than a few hundred frames tells nothing of a frame.
 WINDOW, OVERLAP = 2000, 300
 _PROBLEMS_KEPT = 100
-_MOST_BACK = 10  # frames in a row whose time does not go on; more are a clock that was set back
+_MAX_BACK = 10  # frames in a row whose timestamp did not increase; more are a clock that was set back
 
 
 def whole_paths(posteriors: list[Posterior], observations: Observations, prior: MotionPrior) -> dict[str, Trajectory]:
@@ -139,9 +139,9 @@ class StreamRunner:
         if self._last is not None and not frame.timestamp_s > self._last.timestamp_s:
             what = f"{frame.name} at {frame.timestamp_s} s follows {self._last.name} at {self._last.timestamp_s} s"
             self._n_back += 1
-            if self._n_back > _MOST_BACK:
+            if self._n_back > _MAX_BACK:
                 raise SourceError(f"time goes back: {what}")
-            self._note(frame, f"time does not go on: {what}")
+            self._note(frame, f"timestamp did not increase: {what}")
             return None
         self._n_back = 0
         if frame.recording != self._recording:

@@ -102,11 +102,11 @@ def train_model(
     local = any(find_source(name).local for name in config.sources)
     stretches = folds.units is not None
     if config.method is not Method.PAPER and stretches:
-        motions = sources.look_through(np.union1d(folds.region_frames, folds.held_out), local=local, motions=True)
+        motions = sources.run_front_end(np.union1d(folds.region_frames, folds.held_out), local=local, motions=True)
     elif config.method is not Method.PAPER:
         if local:
-            sources.look_through(folds.region_frames, local=True, motions=False)
-        motions = sources.look_through(folds.held_out, local=local, motions=True)
+            sources.run_front_end(folds.region_frames, local=True, motions=False)
+        motions = sources.run_front_end(folds.held_out, local=local, motions=True)
     *localizers, localizer = Localizer.fit_each(sources, parts, config.sources)
     localizers, train = localizers or [localizer], data.split.train
     prior = fit_motion_prior(data.sequence.require_truth()[train], data.sequence.recording[train])

@@ -32,13 +32,13 @@ from .config import Calibration, ModelConfig, OdometryError
 # gave the coverage and lengths of five; in a corridor of identical rooms (benchmarks/unseen.py, seed 20, stretches)
 # regions had 2.80 m with three, 0.21 m with four and 0.19 m with five: sources that lack a third of the frames
 # take one room for another
-_MOST_FOLDS = 4
+_MAX_FOLDS = 4
 _STRETCHES, _FRAMES = 10, 12  # that the depth is measured on, spread over all training frames, and frames of each
 _GAP = 4.0  # a stretch ends at a gap longer than the median one by this factor
-_LEAST_SUBMAPS = 5  # with fewer, or fewer pairs, the depth is not known
+_MIN_SUBMAPS = 5  # with fewer, or fewer pairs, the depth is not known
 # Pairs of frames whose corners are matched where none can be tracked, reliable points of a pair, and their tolerance
-_PAIRS, _LEAST_POINTS, _TOLERANCE_PX = 40, 20, 4.0
-_LEAST_SPREAD = 0.1  # standard deviation of the logarithm of the depth
+_PAIRS, _MIN_POINTS, _TOLERANCE_PX = 40, 20, 4.0
+_MIN_SPREAD = 0.1  # standard deviation of the logarithm of the depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ def make_folds(
     if not whole:
         units = held_out_together(sequence.recording, SplitKind.BLOCKS)
     names, folds = np.random.default_rng(split.seed).permutation(np.unique(units[used])), []
-    for part in np.array_split(names, min(_MOST_FOLDS, len(names))):
+    for part in np.array_split(names, min(_MAX_FOLDS, len(names))):
         hidden = np.isin(units[used], part)
         folds.append(Fold(used[~hidden], used[hidden]))
     return Folds(folds, used, units, units, whole_recordings=whole)
@@ -167,12 +167,12 @@ def measure_depths(sequence: Recording, frames: IntArray) -> tuple[float, float]
 
 def _median_and_spread(depths: list[float]) -> tuple[float, float]:
     """Of some depths, and of their logarithms; NaN of too few."""
-    if len(depths) < _LEAST_SUBMAPS:
+    if len(depths) < _MIN_SUBMAPS:
         return float("nan"), float("nan")
     logs = np.log(depths)
     middle = float(np.median(logs))
     spread = float(np.median(np.abs(logs - middle))) / MAD_OF_NORMAL
-    return float(np.exp(middle)), max(spread, _LEAST_SPREAD)
+    return float(np.exp(middle)), max(spread, _MIN_SPREAD)
 
 
 def match_depths(sequence: Recording, frames: IntArray, detector: Detector) -> tuple[float, float]:
@@ -194,7 +194,7 @@ def match_depths(sequence: Recording, frames: IntArray, detector: Detector) -> t
         rays = Rays(corner, corner, side, np.stack(planes, axis=1).reshape(-1, 2), R_world_cam, centres)
         points = triangulate(rays, _TOLERANCE_PX / camera.fx)
         along = (points.xyz[points.reliable] - centres[0]) @ R_world_cam[0, :, 2]
-        if len(along) >= _LEAST_POINTS:
+        if len(along) >= _MIN_POINTS:
             depths.append(float(np.median(along)))
     return _median_and_spread(depths)
 

@@ -18,7 +18,7 @@ from conformodal.io.streams.frames import Frame
 from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.pipeline.estimates import Estimate
 
-_MOST_CUBOIDS = 256
+_MAX_CUBOIDS = 256
 _RANGE_M = 100.0  # the whole line is drawn this far around the chosen position
 _REGION, _ANSWER, _TRUTH, _CANDIDATE = (86, 180, 233), (0, 114, 178), (120, 120, 120), (230, 159, 0)
 
@@ -89,7 +89,7 @@ class LiveView:
             self._stream.log(entity, value)
 
     def _cuboids(self, region: PoseRegions, here: FloatArray, colour: tuple[int, int, int]) -> Any:
-        places, near = region.places(0)[:_MOST_CUBOIDS], (here[:, None] - _RANGE_M, here[:, None] + _RANGE_M)
+        places, near = region.places(0)[:_MAX_CUBOIDS], (here[:, None] - _RANGE_M, here[:, None] + _RANGE_M)
         boxes = np.reshape([np.clip(one.box[:3], *near) for one in places if one.box is not None], (-1, 3, 2))
         sizes, labels = np.ptp(boxes, axis=2) / 2, [f"{one.probability:.2f}" for one in places]
         return self._rr.Boxes3D(centers=boxes.mean(axis=2), half_sizes=sizes, colors=colour, labels=labels)

@@ -21,9 +21,9 @@ from conformodal.pipeline.results import records_hold
 with require_extra("run", "a page of results"):
     import cv2
 
-MOST_FRAMES = 1000
+MAX_FRAMES = 1000
 _WIDTH, _QUALITY = 200, 60  # of a thumbnail
-_MOST_BOXES = 64  # of a region that is a product
+_MAX_BOXES = 64  # of a region that is a product
 
 Intervals = list[list[float | None]]  # an end that is None has no bound
 
@@ -31,7 +31,7 @@ Intervals = list[list[float | None]]  # an end that is None has no bound
 class Thumbnails:
     """JPEG thumbnails of a source by frame name, spread evenly over all frames so far.
 
-    When there are more than :data:`MOST_FRAMES`, every other one is dropped, and from then on half as many are taken.
+    When there are more than :data:`MAX_FRAMES`, every other one is dropped, and from then on half as many are taken.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class Thumbnails:
             height = max(1, round(image.shape[0] * _WIDTH / image.shape[1]))
             bgr = cv2.cvtColor(cv2.resize(image, (_WIDTH, height), interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2BGR)
             self.jpegs[name] = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))[1].tobytes()
-            if len(self.jpegs) > MOST_FRAMES:
+            if len(self.jpegs) > MAX_FRAMES:
                 self.jpegs = dict(islice(self.jpegs.items(), 0, None, 2))
                 self._stride *= 2
         self._n_offered += 1
@@ -78,7 +78,7 @@ def make_viewer(
         if truth is not None:
             frame["held"] = bool(holds_truth[i])
         frame["say"] = _describe_frame(frame, unit, holds_pose=bool(holds_pose[i]))
-    stride = max(1, -(-n // MOST_FRAMES))
+    stride = max(1, -(-n // MAX_FRAMES))
     shown = [frame for i, frame in enumerate(frames) if (frame["n"] in images if images else i % stride == 0)]
     for frame in shown if images else ():
         frame["img"] = base64.b64encode(images[frame["n"]]).decode()
@@ -86,7 +86,7 @@ def make_viewer(
     trained_xyz = np.empty((0, 3)) if trained_xyz is None else trained_xyz
     data = {
         "frames": shown,
-        "trained": trained_xyz[evenly_spread(len(trained_xyz), MOST_FRAMES)].round(3).tolist(),
+        "trained": trained_xyz[evenly_spread(len(trained_xyz), MAX_FRAMES)].round(3).tolist(),
         "axes": flat,
         "unit": unit,
         "up": ({0, 1, 2} - set(flat)).pop(),
@@ -113,7 +113,7 @@ def _region_of(record: dict[str, Any]) -> dict[str, Any]:
     parts: list[Intervals] = [record["intervals"][axis] for axis in "xyz"]
     lengths = [sum(_lengths(intervals)) for intervals in parts]
     if record["places"] is None:  # a region that is a product
-        boxes = [[*box, None] for box in islice(product(*parts), _MOST_BOXES)]
+        boxes = [[*box, None] for box in islice(product(*parts), _MAX_BOXES)]
     else:
         boxes = _position_boxes(record["places"])
     frame: dict[str, Any] = {

@@ -48,7 +48,7 @@ _COLOURS = {"region": (86 / 255, 180 / 255, 233 / 255), "places": (0.0, 114 / 25
 _FAINTEST, _FULLEST = 0.15, 0.8
 NAMESPACE = "/conformodal"  # of all topics
 CAMERA_FRAME = "camera_optical_frame"  # of images: x right, y down, z forward
-_MOST_BOXES = 256  # per region, the most probable first
+_MAX_BOXES = 256  # per region, the most probable first
 _RANGE_M = 100.0  # where boxes are cut off, from the chosen position along each axis
 _LONGEST_PATH = 1000  # poses
 _PATH_EVERY = 10  # answered frames per published path
@@ -196,7 +196,7 @@ class Conversion:
         if is_lost(estimate) or region is None or estimate.pose is None:
             return []
         here = estimate.pose.positions_xyz[0][:, None]
-        places = [(place.box, place.probability) for place in region.places(0)[:_MOST_BOXES]]
+        places = [(place.box, place.probability) for place in region.places(0)[:_MAX_BOXES]]
         near = here - _RANGE_M, here + _RANGE_M
         return [(np.clip(box[:3], *near), float(probability)) for box, probability in places if box is not None]
 
@@ -209,7 +209,7 @@ class Conversion:
             "known_p": "" if estimate.known_p is None else f"{estimate.known_p:.6g}",
             "motion": "none" if motion is None else str(motion.status),
             "boxes": str(n_boxes),
-            "boxes_shown": str(min(n_boxes, _MOST_BOXES)),
+            "boxes_shown": str(min(n_boxes, _MAX_BOXES)),
         }
         status = self.make(
             "diagnostic_msgs/msg/DiagnosticStatus",

@@ -19,23 +19,23 @@ from .tracker import MotionFrontEnd, affine_flow
 _SEGMENT = 100  # frames that are looked at one after the other; the last of a segment leads in to the next
 
 
-class FrameLooks(NamedTuple):
+class FrontEndOutputs(NamedTuple):
     """What one look at frames tells, by their indices."""
 
     motions: dict[int, RelativeMotion | None]  # from the frame before, among those looked at; None where there is none
     features: dict[int, LocalFeatures]  # with their flow; empty without a detector
 
 
-def look_through(
+def run_front_end(
     sequence: Recording, frames: IntArray, detector: Detector | None, progress: Progress | None = None, *, motions: bool
-) -> FrameLooks:
+) -> FrontEndOutputs:
     """Look once at each of `frames`, increasing indices in a sequence, and follow corners through all between them.
 
     `motions` says whether these are wanted: flows need none.
     """
 
-    def look_at(rows: IntArray) -> FrameLooks:
-        looks, front_end, before = FrameLooks({}, {}), MotionFrontEnd(sequence.camera), -1
+    def look_at(rows: IntArray) -> FrontEndOutputs:
+        looks, front_end, before = FrontEndOutputs({}, {}), MotionFrontEnd(sequence.camera), -1
         start = int(frames[rows[0] - 1]) if rows[0] else max(int(frames[0]) - 1, 0)
         for i in range(start, int(frames[rows[-1]]) + 1):
             raise_if_cancelled()
@@ -66,12 +66,12 @@ def look_through(
     segments = [np.arange(len(frames))[k : k + _SEGMENT] for k in range(0, len(frames), _SEGMENT)]
     looks = in_threads(look_at, segments, progress)[::-1]  # what leads in to a segment is of the one before
     every_motion = {i: motion for look in looks for i, motion in look.motions.items()}
-    return FrameLooks(every_motion, {i: features for look in looks for i, features in look.features.items()})
+    return FrontEndOutputs(every_motion, {i: features for look in looks for i, features in look.features.items()})
 
 
 def frame_features(sequence: Recording, i: int, detector: Detector) -> LocalFeatures:
     """Local features of a frame of a sequence, with its flow from the frame before."""
-    return look_through(sequence, np.array([i]), detector, motions=False).features[i]
+    return run_front_end(sequence, np.array([i]), detector, motions=False).features[i]
 
 
 def turned_features(

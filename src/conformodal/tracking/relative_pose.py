@@ -36,7 +36,7 @@ _REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 0.25, "max_iterations": 20}
 _FARTHEST = 1e4  # steps beyond which OpenCV does not count a point as in front of both cameras
 _COLUMNS, _ROWS = 4, 3  # parts of the image that share one error
 ROTATION_FACTOR, DIRECTION_FACTOR = 2.4, 3.0  # errors over what the scatter between parts predicts
-_LEAST_RESIDUAL_PX = 0.05  # no corner is tracked better than this
+_MIN_RESIDUAL_PX = 0.05  # no corner is tracked better than this
 
 
 class CameraMotion(NamedTuple):
@@ -226,7 +226,7 @@ def _motion_spreads(pairs: _Pairs, motion: TwoView, cells: IntArray, pixel_rad: 
     by_turn = np.cross(rays_next, -other @ R_prev_next)
     by_direction = np.cross(turned, rays_prev) @ sideways
     jacobian = np.concatenate((by_turn, by_direction), axis=1) / size[:, None]
-    sigma = max(float(np.median(np.abs(residual))) / MAD_OF_NORMAL, _LEAST_RESIDUAL_PX * pixel_rad)
+    sigma = max(float(np.median(np.abs(residual))) / MAD_OF_NORMAL, _MIN_RESIDUAL_PX * pixel_rad)
     covariance = _clustered(jacobian[:, None], cells, sigma)
     rotation, direction = np.trace(covariance[:3, :3]) / 3, np.trace(covariance[3:, 3:]) / 2
     return _MotionSpread(ROTATION_FACTOR * float(np.sqrt(rotation)), DIRECTION_FACTOR * float(np.sqrt(direction)))
@@ -237,7 +237,7 @@ def _turning_spread(pairs: _Pairs, R_prev_next: FloatArray, cells: IntArray, pix
     turned = pairs.rays_next @ R_prev_next.T
     off = np.linalg.norm(pairs.rays_prev - turned, axis=1)
     jacobian = -cross_matrices(turned)  # a turn w in the previous frame moves a ray by w x ray
-    size = max(float(np.median(off)) / MEDIAN_OF_NORM2, _LEAST_RESIDUAL_PX * pixel_rad)
+    size = max(float(np.median(off)) / MEDIAN_OF_NORM2, _MIN_RESIDUAL_PX * pixel_rad)
     return ROTATION_FACTOR * float(np.sqrt(np.trace(_clustered(jacobian, cells, size)) / 3))
 
 

@@ -28,7 +28,7 @@ _MAX_CORNERS = 250  # that are triangulated
 # errors over what the residuals predict (redkitchen, a corridor, KITTI 06): shutter and drift are common to all
 _POSITION_FACTOR, _ROTATION_FACTOR = 4.5, 35.0
 _WORST_SIGMA = 0.5  # predicted standard deviation over the longest distance, above which a submap is dropped
-_SIGMA_PX, _LEAST_RESIDUAL_PX = 0.5, 0.1  # of a corner
+_SIGMA_PX, _MIN_RESIDUAL_PX = 0.5, 0.1  # of a corner
 _CAUCHY = 2.8  # sigmas beyond which residuals are down-weighted
 _ITERATIONS, _ENOUGH = 20, 1e-5  # of bundle adjustment, and the relative decrease of the cost that ends it
 _AGREE_PX, _MIN_AGREEING = 2.0, 0.6  # a corner agrees if it is reprojected within this; the share that must
@@ -104,7 +104,7 @@ def _submap(corners: Sequence[Corners], frames: IntArray, camera: PinholeCamera)
     ahead = inverse_depths > 0
     if min(np.mean(errors < _AGREE_PX * pixel), np.mean(ahead)) < _MIN_AGREEING:
         return None
-    error = max(float(np.median(errors)) / MEDIAN_OF_NORM2, _LEAST_RESIDUAL_PX * pixel)
+    error = max(float(np.median(errors)) / MEDIAN_OF_NORM2, _MIN_RESIDUAL_PX * pixel)
     depth = 1 / float(np.median(inverse_depths[ahead]))
     positions = np.concatenate((np.zeros((1, 3)), fit.bundle.centres / length))
     sigma = _POSITION_FACTOR * error * depth
@@ -148,7 +148,7 @@ def _first_guess(
     """Depths from the first and the last camera, then the cameras between from the depths."""
     rays = np.column_stack((camera.on_plane(views.anchor), np.ones(len(views.anchor))))
     inverse = _inverse_depths(views, R_anchor_last, direction, camera)
-    sound = inverse > _LEAST_RESIDUAL_PX / camera.fx
+    sound = inverse > _MIN_RESIDUAL_PX / camera.fx
     if sound.sum() < _MIN_CORNERS / 2:
         return None
     model = camera.poselib()

@@ -19,7 +19,7 @@ from .relative_pose import MIN_TRACKS, estimate_relative_motion, solve_opencv
 _MAX_CORNERS = 500  # tracked at a time
 # New corners are detected below this share of those after the last detection, as the image may have given no more, and
 # below this share of those tracked at a time
-_RENEW_BELOW, _LEAST_SHARE = 0.85, 0.5
+_RENEW_BELOW, _MIN_SHARE = 0.85, 0.5
 _HARRIS_K = 0.04  # weight of the squared trace in the Harris response
 _QUALITY = 1e-4  # weakest Harris response, relative to the strongest
 _SPACING = 0.025  # least distance between new corners, as a share of the image width
@@ -33,9 +33,9 @@ _UNTIL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 _REMARK_BELOW = 0.5
 _ESSENTIAL_CORNERS = 5  # that an essential matrix needs
 LONGEST_FLOW_S = 0.2  # between frames: what moved before says little about now
-_LEAST_FLOW_CORNERS = 16
+_MIN_FLOW_CORNERS = 16
 _FLOW_ITERATIONS = 6
-_LEAST_FLOW_PX = 0.1  # scale of the residuals, at least
+_MIN_FLOW_PX = 0.1  # scale of the residuals, at least
 
 
 class Corners(NamedTuple):
@@ -98,7 +98,7 @@ class CornerTracker:
         """Measure motion from the current frame on: renew lost corners, and note where all of them are."""
         if self._image is None:
             return
-        if len(self._now) < max(_RENEW_BELOW * self._n_renewed, _LEAST_SHARE * _MAX_CORNERS):
+        if len(self._now) < max(_RENEW_BELOW * self._n_renewed, _MIN_SHARE * _MAX_CORNERS):
             new = self._new_corners(self._image, _MAX_CORNERS - len(self._now))
             self._now = np.concatenate((self._now, new))
             self._ids = np.concatenate((self._ids, self._n_ever + np.arange(len(new))))
@@ -136,7 +136,7 @@ def affine_flow(step: tuple[Float32Array, Float32Array], seconds: float, camera:
     `step` are pixels (n, 2) of the same corners `seconds` ago and now, see :attr:`CornerTracker.step`: those of the
     usable frame directly before, in training as in a run. Zero, if they are few or that is long ago.
     """
-    if not 0 < seconds < LONGEST_FLOW_S or len(step[0]) < _LEAST_FLOW_CORNERS:
+    if not 0 < seconds < LONGEST_FLOW_S or len(step[0]) < _MIN_FLOW_CORNERS:
         return NO_FLOW
     before, now = (camera.undistort(pixels.astype(np.float64)) for pixels in step)
     shifts, rows = now - before, np.column_stack((now, np.ones(len(now))))
@@ -144,7 +144,7 @@ def affine_flow(step: tuple[Float32Array, Float32Array], seconds: float, camera:
     for _ in range(_FLOW_ITERATIONS):
         flow, *_ = np.linalg.lstsq(rows * weights, shifts * weights, rcond=None)
         off = np.linalg.norm(shifts - rows @ flow, axis=1)
-        weights = 1 / np.sqrt(1 + (off / (np.median(off) + _LEAST_FLOW_PX)) ** 2)[:, None]
+        weights = 1 / np.sqrt(1 + (off / (np.median(off) + _MIN_FLOW_PX)) ** 2)[:, None]
     return np.asarray(flow.T / seconds)
 
 

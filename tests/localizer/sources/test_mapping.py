@@ -63,7 +63,7 @@ def test_a_rolling_shutter_is_found_and_compensated(world_of, stated_camera, dep
     def rolled(image):
         flow = np.column_stack((rng.normal(0, 0.5, (2, 2)), rng.normal(0, 400, 2)))
         still = image._replace(flow=flow)
-        return still._replace(pixels=still.at_pose_time(-shutter, stated_camera).pixels)
+        return still._replace(pixels=still.compensate_rolling_shutter(-shutter, stated_camera).pixels)
 
     landmarks = LandmarkMap.build(
         [rolled(image) for image in world.local_features()], world.poses_se3, stated_camera, depth_m

@@ -33,7 +33,7 @@ Joint = Literal["none", "bonferroni", "max"]
 # shares of a score by which it may be rounded, by the bytes of its floating type: some units of the last place
 _ROUNDING = {4: 2.0**-20, 8: 2.0**-40}
 # share of the calibration rows that the scales may have seen: rows of discrete scores may look alike by chance
-_MOST_SHARED = 0.8
+_MAX_SHARED = 0.8
 
 
 class Calibrator:
@@ -187,7 +187,7 @@ class Calibrator:
         """:meth:`columns` of calibration scores; rows that :meth:`fit_scale` saw would break the guarantee."""
         if self.joint == "max" and self.bins.n_targets > 1 and len(scores) and hasattr(self, "_scale_rows"):
             shared = int(np.isin(_unique_rows(scores), self._scale_rows).sum())
-            if shared > _MOST_SHARED * len(scores):
+            if shared > _MAX_SHARED * len(scores):
                 raise ConformodalError(
                     f"fit_scale saw {shared} of the {len(scores)} calibration rows, with which coverage falls below "
                     "1 - alpha: give it other rows, such as training rows scored out of fold"

@@ -16,7 +16,7 @@ from conformodal.core.arrays import AnyArray, FloatArray
 from conformodal.core.errors import ConformodalError
 
 # labels of a column of text that get a column each, the most frequent ones, each in at least two rows
-_MOST_LABELS, _LEAST_ROWS = 20, 2
+_MAX_LABELS, _MIN_ROWS = 20, 2
 _DAY = np.timedelta64(1, "D")
 _HOURS, _MONDAY = 24.0, 3  # of a day; 1970-01-01 was a Thursday
 
@@ -177,8 +177,8 @@ class TableEncoder:
                 self.columns_.append(None if gaps.all() else (float(np.median(values[~gaps])), bool(gaps.any())))
             else:
                 labels, counts = np.unique(values, return_counts=True)
-                order = np.argsort(-counts, kind="stable")[:_MOST_LABELS]
-                self.columns_.append(labels[order[counts[order] >= _LEAST_ROWS]].tolist())
+                order = np.argsort(-counts, kind="stable")[:_MAX_LABELS]
+                self.columns_.append(labels[order[counts[order] >= _MIN_ROWS]].tolist())
         return self
 
     def transform(self, X: Any) -> FloatArray:

@@ -23,13 +23,13 @@ _RESIDUAL = (False, True, True, False, False)
 _FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 _GRID_CELLS = 300
 # least weight of a component, so that no density is exactly zero and far values differ
-_LEAST_WEIGHT = 1e-3
+_MIN_WEIGHT = 1e-3
 _ROWS_AT_ONCE = 2048
 # least density, relative to 1 / range, for logarithms
 _FLOOR = 1e-6
 _ITERATIONS = 200
 # least spread of the values: distances in units of a smaller one may overflow
-_LEAST_SPREAD = 1e-150
+_MIN_SPREAD = 1e-150
 
 
 def as_sample_weight(sample_weight: npt.ArrayLike, n: int) -> FloatArray:
@@ -98,7 +98,7 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
         (self.edges_,) = QuantileBins.from_edges([edges]).edges_
         with np.errstate(over="ignore", invalid="ignore"):
             center, scale = float(values.mean()), float(values.std()) or 1.0
-        if not (np.isfinite([center, scale]).all() and scale >= _LEAST_SPREAD):
+        if not (np.isfinite([center, scale]).all() and scale >= _MIN_SPREAD):
             raise ConformodalError(f"y has a spread that float64 cannot work with, {scale:g} around {center:g}")
         self._z_edges = (self.edges_ - center) / scale
         return features, (values - center) / scale, weight
@@ -138,7 +138,7 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
             _, kernel, each = max(fits, key=lambda fit: fit[0])
             self._kernels.append(kernel)
             likelihoods.append(each)
-        mixed = np.maximum(mixture_weights(np.column_stack(likelihoods), weight), _LEAST_WEIGHT)
+        mixed = np.maximum(mixture_weights(np.column_stack(likelihoods), weight), _MIN_WEIGHT)
         self.weights_ = mixed / mixed.sum()
 
     def _shifted(self, masses: FloatArray, loc: FloatArray, spread: FloatArray) -> FloatArray:

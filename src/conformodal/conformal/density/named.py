@@ -38,16 +38,16 @@ _PROCESS_ROWS = 1500
 _SMOOTH_ROWS, _KERNEL_ROWS, _KERNEL_STEPS = 1000, 300, 30
 # columns beyond which they share one length scale; standard deviations of the prior of its logarithm, and at which a
 # column is cut off; least weight in the location
-_MOST_LENGTHS, _PRIOR_SD, _REACH, _LEAST_SHARE = 40, 2.0, 6.0, 0.05
+_MAX_LENGTHS, _PRIOR_SD, _REACH, _MIN_SHARE = 40, 2.0, 6.0, 0.05
 _JITTER = 1e-8  # least variance of noise, for a matrix that can be inverted
 # networks of the stack; gradient steps of each: rows times epochs, within limits
 _NETWORKS, _ROWS_SEEN = 3, 600_000
 # columns that a model of a location or spread gets, or as many as there are rows if these are more
-_MOST_COLUMNS = 128
+_MAX_COLUMNS = 128
 # (rows, trees, folds): trees of a forest and folds of the quick density for at most so many rows
 _TREES_AND_FOLDS = ((1500, 60, 5), (3000, 60, 3), (5000, 40, 3), (8000, 30, 3), (np.inf, 30, 2))
 # rows that the quick density learns from, drawn at random if there are more; held-out rows that choose its weights
-_MOST_ROWS, _VALIDATION_ROWS = 30_000, 1000
+_MAX_ROWS, _VALIDATION_ROWS = 30_000, 1000
 
 
 class QuickDensity(MixtureDensity):
@@ -103,8 +103,8 @@ class QuickDensity(MixtureDensity):
         random = check_random_state(self.random_state)
         features, z, weight = self._standardise(X, y, edges, sample_weight)
         seed = int(random.randint(2**31 - 1))
-        if z.size > _MOST_ROWS:
-            kept = random.permutation(z.size)[:_MOST_ROWS]
+        if z.size > _MAX_ROWS:
+            kept = random.permutation(z.size)[:_MAX_ROWS]
             features, z, weight = features[kept], z[kept], weight[kept]
         n = z.size
         validation = random.permutation(n)[:_VALIDATION_ROWS]
@@ -229,7 +229,7 @@ class Location:
         guess, model = fit_out_of_fold(smooth, X, y, weight, folds)
         wider = np.column_stack((guess, self.out_of_fold_))
         weights = _stacking_weights(wider, y, weight)
-        if weights[0] >= _LEAST_SHARE:
+        if weights[0] >= _MIN_SHARE:
             self._models, self.out_of_fold_, self.weights_ = [model, *self._models], wider, weights
         return self
 
@@ -293,7 +293,7 @@ def smooth_member(X: FloatArray, y: FloatArray, seed: int) -> Maker | None:
     """
     rows = np.random.RandomState(seed).permutation(y.size)[:_KERNEL_ROWS]
     features = _standardised(X[rows], X.mean(axis=0), X.std(axis=0))
-    lengths = np.full(X.shape[1] if X.shape[1] <= _MOST_LENGTHS else 1, 2 * np.sqrt(X.shape[1]))
+    lengths = np.full(X.shape[1] if X.shape[1] <= _MAX_LENGTHS else 1, 2 * np.sqrt(X.shape[1]))
     amplitude, noise = ConstantKernel(1.0, (1e-2, 1e3)), WhiteKernel(0.1, (1e-5, 10.0))
     kernel = amplitude * Matern(lengths, (1e-2, 1e4), nu=1.5) + noise
     usual = np.log(lengths)
@@ -415,7 +415,7 @@ def fit_out_of_fold(
     def fitted(rows: Any) -> Any:
         # boosting takes several times as long with weights, equal ones too
         share = {"sample_weight": weight[rows]} if np.ptp(weight) else {}
-        most = max(_MOST_COLUMNS, y[rows].size)
+        most = max(_MAX_COLUMNS, y[rows].size)
         model = make() if X.shape[1] <= most else _ScreeningRegressor(make(), most)
         return model.fit(X[rows], y[rows], **share)
 

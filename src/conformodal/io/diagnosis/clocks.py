@@ -66,7 +66,7 @@ def doubt_steps(steps_s: Sequence[float], expected_s: float) -> str:
     )
 
 
-def doubt_clock(estimate: Trajectory, truth: Trajectory) -> str:
+def describe_time_offset(estimate: Trajectory, truth: Trajectory) -> str:
     """The shift in time under which two paths move alike, if as given they do not; else nothing.
 
     Compares the ranks of the speeds from pose to pose of the estimate, so neither world nor scale must be the same.

@@ -21,7 +21,7 @@ from conformodal.io.frame_table import FrameTable
 from conformodal.io.pose_files import euroc_table, matrix_faults
 from conformodal.io.reading import MALFORMED, Note, file_named, number, parse_lines, read_lines, whole_number
 
-_MOST_BYTES = 16_000  # a calibration has a tenth of that
+_MAX_BYTES = 16_000  # a calibration has a tenth of that
 _LENSES = ("radial-tangential", "radtan")
 
 
@@ -57,8 +57,8 @@ def read_euroc_mav(folder: Path) -> FrameTable:
 
 def _calibration(path: Path, size: Size, notes: list[Note]) -> _Calibration:
     text = "\n".join(line for line in read_lines(path) if not line.startswith("%YAML"))  # of OpenCV, not valid YAML
-    if len(text) > _MOST_BYTES:
-        raise DatasetError(f"{path}: has {len(text)} characters, expected a calibration of at most {_MOST_BYTES}")
+    if len(text) > _MAX_BYTES:
+        raise DatasetError(f"{path}: has {len(text)} characters, expected a calibration of at most {_MAX_BYTES}")
     try:
         content: Any = yaml.safe_load(text)
         model, distortion = content.get("camera_model", "pinhole"), content.get("distortion_model", _LENSES[0])

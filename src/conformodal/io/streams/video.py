@@ -25,7 +25,7 @@ from conformodal.io.reading import Note
 from .frames import Frame, SourceError, check_size
 
 _COUNTED, _WHOLE = (".avi", ".mp4", ".mov", ".m4v"), 0.98  # other containers than these count frames roughly
-_MOST_DAMAGED = 30  # frames in a row; at its end a file fails for good
+_MAX_DAMAGED = 30  # frames in a row; at its end a file fails for good
 _LISTS = (b"ffconcat", b"#EXTM3U", b"v=0", b"<?xml", b"<MPD")  # which lead to other files, or onto a network
 _UNTIMED = (".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg")  # pictures without a container
 
@@ -114,7 +114,7 @@ class VideoStream:
         """
         with _opened(self.path) as capture:
             rate_hz, last_s, done, damaged = capture.get(cv2.CAP_PROP_FPS), -np.inf, 0, 0
-            while damaged < _MOST_DAMAGED:
+            while damaged < _MAX_DAMAGED:
                 there, image = capture.read()
                 if not there:
                     damaged += 1

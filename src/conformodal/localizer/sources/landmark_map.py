@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from conformodal.core.progress import Progress
-from conformodal.features.local import Descriptors, LocalFeatures, Matcher, alike_enough, match
+from conformodal.features.local import Descriptors, LocalFeatures, Matcher, match, similar_enough
 from conformodal.geometry import PinholeCamera, cross_matrices, rigid_motions
 from conformodal.geometry.adjustment import MEDIAN_OF_NORM2
-from conformodal.geometry.triangulation import nearest_kilometres
+from conformodal.geometry.triangulation import local_origin
 from conformodal.localizer.evidence import PoseMeasurement
 
 # Retrieval: keyframes matched in the most similar cluster and in each of the others, clusters at most, and keyframes
@@ -35,10 +35,10 @@ _RANSAC = {"max_reproj_error": _MAX_REPROJECTION_PX, "min_iterations": 50, "seed
 # Samples at most; of a place that rivals a sure one half of the matches would be right
 _SAMPLES, _SAMPLES_OF_RIVAL = 300, 60
 _REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 1.0, "max_iterations": 10}  # more take long and hardly move a pose
-_LEAST_RESIDUAL_PX = 0.5  # no corner is located more precisely
+_MIN_RESIDUAL_PX = 0.5  # no corner is located more precisely
 # Keyframes whose deviations correct an estimate, weighted by one over their distance, to which this is added (scene
 # depths plus radians)
-_CORRECTED_BY, _LEAST_DISTANCE = 6, 0.01
+_CORRECTED_BY, _MIN_DISTANCE = 6, 0.01
 # Guided matching looks for landmarks of keyframes near a pose where the pose says that they are: inliers of a pose that
 # guides (wrong ones have fewer), keyframes, and the number nearest to the pose that these are chosen from
 _GUIDING_INLIERS, _GUIDING_KEYFRAMES, _CONSIDERED = 30, 6, 100
@@ -70,7 +70,7 @@ class LandmarkMap:
 
     camera: PinholeCamera  # without distortion
     T_pose_cam: FloatArray  # (4, 4) from the camera's frame to the one whose poses are given
-    shutter: FloatArray  # (2,), see PinholeCamera.at_pose_time
+    shutter: FloatArray  # (2,), see PinholeCamera.compensate_rolling_shutter
     origin_xyz: FloatArray  # (3,) metres, world; whole kilometres: near the world's origin it is the same
     poses_se3: FloatArray  # (n, 4, 4) of the keyframes, as given but for the origin
     global_descriptors: npt.NDArray[np.float16]  # (n, G)
@@ -93,7 +93,7 @@ class LandmarkMap:
         """Map n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps."""
         from .mapping import triangulate_frames  # noqa: PLC0415 - only learning needs it
 
-        origin_xyz = nearest_kilometres(poses_se3[:, :3, 3])
+        origin_xyz = local_origin(poses_se3[:, :3, 3])
         poses_se3 = poses_se3.copy()
         poses_se3[:, :3, 3] -= origin_xyz
         mapped = triangulate_frames(features, poses_se3, camera, depth_m, progress, matcher or Matcher())
@@ -125,7 +125,7 @@ class LandmarkMap:
         `hidden` (n,) are left out. `matches` caches those of the image by keyframe.
         """
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
-        matches, image = {} if matches is None else matches, image.at_pose_time(self.shutter, self.camera)
+        matches, image = {} if matches is None else matches, image.compensate_rolling_shutter(self.shutter, self.camera)
         estimates: list[PoseMeasurement] = []
         guided: list[FloatArray] = []  # the poses that a second matching has confirmed
         for near in self._retrieve(image.global_descriptor, shown):
@@ -204,7 +204,7 @@ class LandmarkMap:
     def _solve(self, image: LocalFeatures, pairs: IntArray, shown: BoolArray, samples: int) -> _Solution | None:
         """The pose of an image from matches (m, 2) of corners and landmarks, some of them right."""
         # a corner that matches several keyframes is one observation
-        alike, _ = alike_enough(image.descriptors[pairs[:, 0]], self.descriptors[pairs[:, 1]])
+        alike, _ = similar_enough(image.descriptors[pairs[:, 0]], self.descriptors[pairs[:, 1]])
         corners, landmarks = pairs[_most_similar(pairs[:, 0], alike)].T
         points, pixels = self.points_xyz[landmarks].astype(np.float64), image.pixels[corners]
         if len(pixels) < MIN_INLIERS:
@@ -255,7 +255,7 @@ class LandmarkMap:
         away, corners = KDTree(image.pixels).query(pixels_seen, nearest, distance_upper_bound=_RADIUS_PX)
         rows, columns = np.nonzero(np.isfinite(away))
         corners = np.asarray(corners)[rows, columns]
-        alike, enough = alike_enough(image.descriptors[corners], self.descriptors[landmarks[rows]])
+        alike, enough = similar_enough(image.descriptors[corners], self.descriptors[landmarks[rows]])
         best = _most_similar(rows, alike)
         best = best[enough[best]]
         return corners[best], landmarks[rows[best]]
@@ -283,7 +283,7 @@ class LandmarkMap:
         if corrected.size == 0:
             return np.zeros(6), np.zeros(2), away
         nearest = corrected[np.argsort(apart[corrected], kind="stable")[:_CORRECTED_BY]]
-        corrections, weights = self.corrections[nearest], 1 / (apart[nearest] + _LEAST_DISTANCE)
+        corrections, weights = self.corrections[nearest], 1 / (apart[nearest] + _MIN_DISTANCE)
         mean = np.average(corrections, axis=0, weights=weights)
         variance = np.average((corrections - mean) ** 2, axis=0, weights=weights)
         return mean, np.sqrt([variance[:3].mean(), variance[3:].mean()]), away
@@ -298,7 +298,7 @@ class LandmarkMap:
             return None
         plane = local[:, :2] / depth[:, None]
         off = np.linalg.norm(plane - self.camera.on_plane(pixels), axis=1)
-        least = 2 * _LEAST_RESIDUAL_PX / (self.camera.fx + self.camera.fy)
+        least = 2 * _MIN_RESIDUAL_PX / (self.camera.fx + self.camera.fy)
         residual = max(float(np.median(off)) / MEDIAN_OF_NORM2, least)
         by_point = np.zeros((len(points), 2, 3))
         by_point[:, 0, 0] = by_point[:, 1, 1] = 1 / depth

@@ -21,7 +21,7 @@ from conformodal.geometry.poses import rotation_faults
 from conformodal.io import THUMBNAIL
 from conformodal.localizer import LocalizationError
 from conformodal.localizer.evidence import (
-    LEAST_ESTIMATES,
+    MIN_ESTIMATES,
     ErrorModel,
     FrameEvidence,
     HeldOutErrors,
@@ -49,7 +49,7 @@ _SETTINGS = {
     "errors": ErrorModel.json_schema(n_support=3),
     "grid": (None, [Range(1, whole=True)] * 2),
 }
-_MOST_KEYFRAMES, _AREA = 1000, 5.0  # of an area, and its radius in scene depths
+_MAX_KEYFRAMES, _AREA = 1000, 5.0  # of an area, and its radius in scene depths
 _LEFT_OUT = 100  # keyframes that the error model is learnt from
 # Keyframes whose view overlaps by more than this are hidden from a left-out one, so that hardly anything it sees is
 # mapped; and the weight of such a case.
@@ -84,7 +84,7 @@ class LandmarkSource:
     @classmethod
     def fit(cls, data: SourceData, frames: IntArray) -> Self | None:
         """Map the frames; None where the scene's depth is not known, or too few frames can be localised."""
-        if not np.isfinite(data.depth_m) or len(frames) < LEAST_ESTIMATES:
+        if not np.isfinite(data.depth_m) or len(frames) < MIN_ESTIMATES:
             return None
         pieces = data.stretches if len(np.unique(data.pieces[frames])) < 2 else data.pieces
         positions = data.sequence.require_truth().positions_xyz
@@ -157,7 +157,7 @@ def _keyframes(positions_xyz: FloatArray, radius_m: float) -> IntArray:
     while left.size:
         near = np.linalg.norm(positions_xyz[left] - positions_xyz[left[0]], axis=1) < radius_m
         area, left = left[near], left[~near]
-        chosen.append(area[evenly_spread(len(area), _MOST_KEYFRAMES)])
+        chosen.append(area[evenly_spread(len(area), _MAX_KEYFRAMES)])
     return np.sort(np.concatenate(chosen))
 
 
@@ -194,7 +194,7 @@ def _fit_errors(
         return rows
 
     rows = [row for part in in_threads(estimated, left_out.tolist(), progress) for row in part]
-    if len(rows) < LEAST_ESTIMATES:
+    if len(rows) < MIN_ESTIMATES:
         return None
     table = np.array(rows)
     off, sigma_m, angle, sigma_rad, distance, weights = table[:, :6].T

@@ -14,25 +14,25 @@ from conformodal.core.progress import Progress
 from conformodal.features.local import Descriptors, LocalFeatures, Matcher
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.map_poses import (
-    LEAST_PER_FRAME,
+    MIN_PER_FRAME,
     ROUNDS,
     SIGMA_DEPTHS,
     SIGMA_RAD,
+    InlierRays,
     MapPoses,
     Matches,
-    Mounted,
-    Sightings,
-    agreeing,
+    RigCalibration,
     choose_tracks,
     fit_camera,
+    inlier_rays,
 )
 from conformodal.geometry.triangulation import Points, Rays, triangulate
 
-_MOST_LANDMARKS = 300  # of a frame
-_MOST_TRACKED = 200  # corners of a frame that are triangulated to adjust poses: those that most frames see
+_MAX_LANDMARKS = 300  # of a frame
+_MAX_TRACKED = 200  # corners of a frame that are triangulated to adjust poses: those that most frames see
 _FRAMES_AT_A_TIME = 32  # that are triangulated
 _PARTNERS = 10  # frames in which a frame's corners are sought; pairs serve both
-_MOST_TURNED_RAD, _USUAL_TURN_RAD = float(np.radians(35.0)), float(np.radians(15.0))  # of partners
+_MAX_TURNED_RAD, _USUAL_TURN_RAD = float(np.radians(35.0)), float(np.radians(15.0))  # of partners
 # Distances of partners, in scene depths: too near gives no parallax, too far sees other things.
 _NEAREST, _BEST, _FARTHEST = 0.02, 0.15, 0.8
 _TOLERANCE_PX = 4.0  # of a ray
@@ -42,7 +42,7 @@ _MATCHES_PER_PAIR = 40  # that the camera is fitted with
 class TriangulatedFrames(NamedTuple):
     """The camera of n frames and their landmarks, as :class:`.landmark_map.LandmarkMap` keeps them."""
 
-    mounted: Mounted
+    mounted: RigCalibration
     starts: IntArray
     points_xyz: Float32Array
     descriptors: Descriptors
@@ -60,13 +60,13 @@ def triangulate_frames(
     """Triangulate corners of n frames with known poses (n, 4, 4), which are adjusted with them."""
     pairs = _matched(features, _partners(poses_se3, depth_m), matcher, progress)
     mounted = fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
-    features = [one.at_pose_time(mounted.shutter, camera) for one in features]
+    features = [one.compensate_rolling_shutter(mounted.shutter, camera) for one in features]
     before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
     chunks = [range(a, min(a + _FRAMES_AT_A_TIME, len(features))) for a in range(0, len(features), _FRAMES_AT_A_TIME)]
 
-    def sightings(few: range, current: MapPoses) -> Sightings:
-        rays = _rays(few, pairs, features, current, before, _MOST_TRACKED)
-        return agreeing(rays, triangulate(rays, _tolerance(current)), _tolerance(current))
+    def sightings(few: range, current: MapPoses) -> InlierRays:
+        rays = _rays(few, pairs, features, current, before, _MAX_TRACKED)
+        return inlier_rays(rays, triangulate(rays, _tolerance(current)), _tolerance(current))
 
     def landmarks(few: range) -> Points:
         every = max(len(one.pixels) for one in features)
@@ -76,7 +76,7 @@ def triangulate_frames(
     current = MapPoses(mounted, poses_se3 @ mounted.T_pose_cam, sigmas)
     for _ in range(ROUNDS):
         tracks = choose_tracks(in_threads(partial(sightings, current=current), chunks), len(features))
-        if len(tracks.frame) < LEAST_PER_FRAME * len(features):
+        if len(tracks.frame) < MIN_PER_FRAME * len(features):
             break
         current = current.adjusted(poses_se3, tracks)
     points = Points(*map(np.concatenate, zip(*in_threads(landmarks, chunks), strict=True)))
@@ -94,7 +94,7 @@ def _first_of_frames(reliable: BoolArray, starts: IntArray) -> BoolArray:
     """The first reliable corners of each frame, in the order of the detector: the strongest."""
     count = np.concatenate(([0], np.cumsum(reliable)))
     frame = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-    return reliable & (count[:-1] - count[starts[frame]] < _MOST_LANDMARKS)
+    return reliable & (count[:-1] - count[starts[frame]] < _MAX_LANDMARKS)
 
 
 def view_overlap(poses_se3: FloatArray, i: int, camera: PinholeCamera, depth_m: float) -> FloatArray:
@@ -123,7 +123,7 @@ def _partners(poses_se3: FloatArray, depth_m: float) -> list[IntArray]:
     for centre, ahead in zip(centres, forward, strict=True):
         turned = np.arccos(np.clip(forward @ ahead, -1, 1))
         apart = np.linalg.norm(centres - centre, axis=1) / depth_m
-        others = np.flatnonzero((turned < _MOST_TURNED_RAD) & (apart > _NEAREST) & (apart < _FARTHEST))
+        others = np.flatnonzero((turned < _MAX_TURNED_RAD) & (apart > _NEAREST) & (apart < _FARTHEST))
         cost = np.abs(np.log(apart[others] / _BEST)) + turned[others] / _USUAL_TURN_RAD
         others = others[np.argsort(cost, kind="stable")[: 5 * _PARTNERS]]
         # neighbours in time say the same: take one of every few

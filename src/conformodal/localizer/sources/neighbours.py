@@ -28,7 +28,7 @@ _CHUNK = 256  # queries at once: their neighbours' features are copied
 _PLACES = 4  # answers at most, one per place
 _CROWD = 4  # frames that are clustered by place, in units of the frames of one regression
 _DECAY = 2.0  # the weight of the farthest frame is exp(-decay) (Cleveland 1979)
-_LEAST_WEIGHT = 0.02  # of an answer
+_MIN_WEIGHT = 0.02  # of an answer
 _SAME_PLACE = 0.5  # standard deviations of the targets within which answers are of the same place
 _USUAL = 0.9  # quantile of the novelty of left-out frames above which standard deviations grow with novelty
 _DISTRUST = 4.0  # exponent with which the odds of an inlier fall above that
@@ -237,7 +237,7 @@ class NeighbourSource:
         views = feature_views(features.shape[1])
         regression, rows, answers = fit_local(features, targets, pieces, views=views)
         truth, typical = targets[rows, None], max(float(np.median(answers.novelty)), 1e-9)
-        same_place, offered = _SAME_PLACE * float(regression.target_scale[0]), answers.weights >= _LEAST_WEIGHT
+        same_place, offered = _SAME_PLACE * float(regression.target_scale[0]), answers.weights >= _MIN_WEIGHT
         values = np.where(offered[:, :, None], answers.values, truth)
         off = np.linalg.norm(values[:, :, :3] - truth[:, :, :3], axis=2)
         angle = angle_between_quats(values[:, :, 3:], truth[:, :, 3:])
@@ -264,7 +264,7 @@ class NeighbourSource:
 
     def _measurements(self, values: FloatArray, weights: FloatArray, novelty: float) -> list[PoseMeasurement]:
         measurements, beyond = [], max(novelty * self.typical / self.limit, 1.0)
-        for k in np.flatnonzero(weights >= _LEAST_WEIGHT):
+        for k in np.flatnonzero(weights >= _MIN_WEIGHT):
             orientation = normalise_quat(values[k, 3:])
             raw = PoseMeasurement(values[k, :3], orientation, novelty, novelty, self.regression.settings.neighbours)
             one = self.errors.apply(raw, 1 / novelty)

@@ -28,7 +28,7 @@ from conformodal.geometry import RelativeMotion
 from conformodal.io import Recording, SplitKind, held_out_together
 from conformodal.localizer import LocalizationError
 from conformodal.localizer.evidence import FrameEvidence, PoseMeasurement
-from conformodal.tracking.motions import frame_features, look_through
+from conformodal.tracking.motions import frame_features, run_front_end
 
 
 @dataclass(eq=False)
@@ -84,11 +84,11 @@ class SourceData:
             self._projections[key] = fit_projection(self.features[frames], components, view)
         return self._projections[key]
 
-    def look_through(self, frames: IntArray, *, local: bool, motions: bool) -> dict[int, RelativeMotion | None]:
+    def run_front_end(self, frames: IntArray, *, local: bool, motions: bool) -> dict[int, RelativeMotion | None]:
         """Motion to each of some frames from the one before, if wanted; `local` caches their local features."""
         missing = [i for i in frames.tolist() if i not in self._local_features] if local else []
         report = stage_of(self.progress, "frames")
-        looks = look_through(self.sequence, frames, self.detector if missing else None, report, motions=motions)
+        looks = run_front_end(self.sequence, frames, self.detector if missing else None, report, motions=motions)
         self._cache(missing, [looks.features[i] for i in missing])
         return looks.motions
 
