@@ -41,6 +41,7 @@ UNITS = {
     "conditional": Unit("conditional.py", 2),
     "smooth_member": Unit("smooth_member.py", 5),
     "table_warnings": Unit("table_warnings.py", 8),
+    "camera_input": Unit("camera_input.py", 5),
     "peers": Unit("peers/run.py --measure", 35, 2),
     "growth": Unit("growth.py", 20, 2),
     "table1": Unit("table1.py --seeds 1 --first-seed 30", 28, 2),
