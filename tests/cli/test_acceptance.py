@@ -28,7 +28,12 @@ def test_demo(tmp_path):
     # the hypotheses that count is there
     assert metrics["ambiguity"]["share_held"] >= 0.9
     assert 1 < metrics["coverage"]["mean_places"] < 6
-    assert metrics["path_coverage"] is None  # random frames calibrate
+    # at alpha = 0.02; motion tells most of the rooms apart
+    paths = metrics["path_coverage"]
+    assert paths["online"]["coverage"] > 0.95
+    assert paths["online"]["mean_places"] < metrics["coverage"]["mean_places"]
+    assert paths["n_reliable"] > 0.5 * metrics["n_answered"]
+    assert paths["n_reliable_and_elsewhere"] == 0
     assert "of the same view; the regions hold" in (tmp_path / "report.html").read_text()
 
 
