@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from conformodal.geometry import PinholeCamera
-from conformodal.geometry.map_poses import Matches, agreeing, choose_tracks, fit_camera
+from conformodal.geometry.map_poses import Matches, choose_tracks, fit_camera, inlier_rays
 from conformodal.geometry.triangulation import MIN_PARALLAX_RAD, Rays, triangulate
 
 CAMERA = PinholeCamera(500, 500, 320, 240, 640, 480)
@@ -14,10 +14,10 @@ CAMERA = PinholeCamera(500, 500, 320, 240, 640, 480)
 def test_tracks_share_no_corner_and_see_each_point_from_several_frames():
     points = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 6], (50, 3))
     rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0], [-0.5, 0.2, 0], [0, 0.5, 0.1]]), off=0.05)
-    chosen = choose_tracks([agreeing(rays, triangulate(rays, 0.005), 0.005)], 4)
+    chosen = choose_tracks([inlier_rays(rays, triangulate(rays, 0.005), 0.005)], 4)
     np.testing.assert_array_equal(chosen.frame.reshape(-1, 3), [[0, 1, 2]] * len(chosen.points))  # the last is off
     twice = rays._replace(number=rays.number % 8)  # corners of 50 points are said to be those of two
-    assert len(choose_tracks([agreeing(twice, triangulate(rays, 0.005), 0.005)], 4).points) == 2
+    assert len(choose_tracks([inlier_rays(twice, triangulate(rays, 0.005), 0.005)], 4).points) == 2
 
 
 def test_few_matches_leave_the_camera_as_it_was():
