@@ -42,8 +42,7 @@ _CORRECTED_BY, _MIN_DISTANCE = 6, 0.01
 # Guided matching looks for landmarks of keyframes near a pose where the pose says that they are: inliers of a pose that
 # guides (wrong ones have fewer), keyframes, and the number nearest to the pose that these are chosen from
 _GUIDING_INLIERS, _GUIDING_KEYFRAMES, _CONSIDERED = 30, 6, 100
-# Keyframes near an expected pose whose rolls are looked at; and the roll up to which XFeat matches as well as upright:
-# on fr1_rpy it recognised 1.00 of the images rolled by 15 to 40 degrees, 0.47 at 40 to 60, none beyond
+# Keyframes near an expected pose whose rolls are looked at; and the roll up to which XFeat matches as well as upright
 _ROLLS, _MATCHED_ROLL_RAD = 10, float(np.radians(30.0))
 _RADIUS_PX, _CORNERS = 8.0, 4  # corners nearest to a landmark that are compared with it
 

@@ -2,7 +2,7 @@
 
 A pose source is fitted on given frames, estimates the poses of images, and is stored as arrays and JSON. It names the
 frames it has seen, since the coverage guarantee needs calibration frames that no source has seen. A new source is a
-class with the four methods of :class:`PoseSource`, registered with :func:`register_source`.
+class with the members of :class:`PoseSource`, registered with :func:`register_source`.
 """
 
 from __future__ import annotations
