@@ -31,13 +31,16 @@ from common import (
     write_page,
 )
 from joblib import Parallel, delayed
+from scipy.stats import chi2
 from worlds import ALPHA, FAR_M, VARIANTS, WORLDS, Laboratory, frame_by_frame, slug, summary
 
 from conformodal.io import Disturbance
+from conformodal.pipeline.model import ONLINE
 
 DISTURBED = ("redkitchen, blocks", "fr1_xyz from fr1_desk")
 ABLATED = tuple(WORLDS)[:4]
 OTHERS = ("without motion", "without the filter")
+ELLIPSOIDS = (0.5, 0.9, 0.99)
 QUARTERS = ("smallest", "second", "third", "largest")
 COLUMNS = {
     "rmse_m": 4, "median_m": 4, "far": 3, "coverage": 3, "bounded": 3, "of bounded": 3, "places": 2, "length_m": 3,
@@ -78,6 +81,13 @@ def cells(runs: list[Frames], name: str, columns: dict[str, int]) -> list[str]:
     """Means over seeds and their intervals."""
     numbers = [summary(run[name]) for run in runs]
     return [mean_interval([one[key] for one in numbers if key in one], digits) for key, digits in columns.items()]
+
+
+def consistency_cells(runs: list[Frames]) -> list[str]:
+    """Shares of errors within the ellipsoids that the stated covariance gives these probabilities, of all seeds."""
+    squared = np.concatenate([run[ONLINE]["squared"] for run in runs])
+    within = [f"{np.mean(squared <= chi2.ppf(share, 6)):.3f}" for share in ELLIPSOIDS]
+    return [str(len(squared)), *within, f"{np.median(squared) / chi2.median(6):.2f}"]
 
 
 def conditional_cells(runs: list[Frames]) -> list[str]:
@@ -139,6 +149,14 @@ def main() -> None:
         "## Disturbed images",
         "All images disturbed at random (light, blur, noise, covered parts); regions of the image alone.",
         table_lines(["world", "images", *shown], disturbed),
+        "## Consistency",
+        "Squared errors of the poses that a stream gives over the covariance it states, beside the chi-squared law "
+        "with six degrees of freedom: share of all frames, all seeds, within the ellipsoids of 50, 90 and 99 %, and "
+        "the median over that of the law. More within than stated, or a median below 1: cautious.",
+        table_lines(
+            ["world", "n", *(f"within {100 * share:g} %" for share in ELLIPSOIDS), "median"],
+            [[w, *consistency_cells(r)] for w, r in frames.items()],
+        ),
         "## Coverage where regions are large",
         "Bounded regions of the image alone, all seeds, in quarters of their length; and the excess risk: the Brier "
         "score of the nominal coverage less that of a classifier that predicts from length and number of places "

@@ -25,13 +25,16 @@ from common import DATA, REDKITCHEN, RUNS, cached_json, new_axes, parser_with_se
 from joblib import Parallel, delayed
 from stream_row import peak_mb
 
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.corridor import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.io import Recording, read_recording
 from conformodal.io.recording import join_recordings
 from conformodal.localizer.candidates import pose_targets
+from conformodal.localizer.regions import PoseRegions
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.model import ONLINE
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import train_model
 
@@ -55,9 +58,10 @@ def room(number: int, runs: Path) -> list[Recording]:
 
 
 def measured(n_rooms: int, seed: int, runs: Path, *, only_train: bool) -> dict[str, Any]:
-    """Costs of a world, and errors and regions of the first room's test frames, unless only to train."""
-    recordings = [recording for number in range(n_rooms) for recording in room(number, runs)]
-    world, folder = join_recordings(recordings), runs / f"model-{n_rooms}-{seed}"
+    """Costs of a world, errors and regions of the first room, and coverage of each room, unless only to train."""
+    rooms = [room(number, runs) for number in range(n_rooms)]
+    world, folder = join_recordings([one for each in rooms for one in each]), runs / f"model-{n_rooms}-{seed}"
+    of_room = np.repeat(np.arange(n_rooms), [sum(map(len, each)) for each in rooms])
     if not (folder / "costs.json").is_file():
         began = time.process_time()
         model = train_model(
@@ -69,22 +73,43 @@ def measured(n_rooms: int, seed: int, runs: Path, *, only_train: bool) -> dict[s
     if only_train:
         return {}
     model, costs = load_model(folder), json.loads((folder / "costs.json").read_text(encoding="utf-8"))
-    frames = model.split.test[model.split.test < len(recordings[0])]
     began = time.process_time()
-    run = VisualOdometry(model).process(world, frames)
-    cpu_ms = 1e3 * (time.process_time() - began) / len(frames)
+    run = VisualOdometry(model).process(world, model.split.test)
+    cpu_ms = 1e3 * (time.process_time() - began) / len(run.frames)
     truth = world.require_truth()[run.frames]
     off = np.linalg.norm(run.trajectories["online"].positions_xyz - truth.positions_xyz, axis=1)
-    held = run.regions.contains(pose_targets(truth, model.sign_reference), joint=True)
+    of_room = of_room[run.frames]
+    first = of_room == 0
+    off = off[first]
+    by_room = {
+        path: coverage_by_room(regions, pose_targets(truth, model.sign_reference), of_room)
+        for path, regions in {"image": run.regions, ONLINE: run.path_regions[ONLINE]}.items()
+    }
     return costs | {
         "frames": len(world),
         "model_mb": sum(file.stat().st_size for file in folder.iterdir()) / 1e6,
         "frame_ms": cpu_ms,
         "median_mm": 1e3 * float(np.median(off)),
         "rmse_mm": 1e3 * float(np.sqrt((off**2).mean())),
-        "length_mm": (1e3 * np.median(run.regions.length[:, :3], axis=0)).tolist(),
-        "coverage": float(held.mean()),
-        "tested": len(frames),
+        "length_mm": (1e3 * np.median(run.regions.length[first, :3], axis=0)).tolist(),
+        "coverage": by_room["image"]["coverage"][0],
+        "least": min(by_room["image"]["coverage"]),
+        "least_online": min(by_room[ONLINE]["coverage"]),
+        "bounded": float(np.mean(by_room["image"]["bounded"])),
+        "tested": int(first.sum()),
+        "by_room": by_room,
+    }
+
+
+def coverage_by_room(regions: PoseRegions, targets: FloatArray, of_room: IntArray) -> dict[str, list[float]]:
+    """Coverage, share bounded and median length in millimetres of the regions of each room's frames."""
+    held, bounded = regions.contains(targets, joint=True), ~regions.unbounded.any(axis=1)
+    length_mm = 1e3 * regions.length[:, :3].mean(axis=1)
+    parts = [of_room == number for number in np.unique(of_room)]
+    return {
+        "coverage": [float(held[part].mean()) for part in parts],
+        "bounded": [float(bounded[part].mean()) for part in parts],
+        "length_mm": [float(np.median(length_mm[part])) for part in parts],
     }
 
 
@@ -103,6 +128,7 @@ def main() -> None:
     parser.add_argument("--rooms", type=int, nargs="+", default=[1, 2, 4, 8])
     parser.add_argument("--row", action="store_true", help="measure one world in this process")
     parser.add_argument("--train", action="store_true", help="with --row: train alone")
+    parser.add_argument("--workers", type=int, default=2, help="trainings at a time")
     options, runs = parser.parse_args(), RUNS / "growth"
     runs.mkdir(parents=True, exist_ok=True)
     if options.row:
@@ -121,14 +147,15 @@ def main() -> None:
         room(number, runs)  # is rendered once
     rows, results = [], []
     pairs = [(n, seed, "--train") for n in sorted(options.rooms, reverse=True) for seed in options.seeds]
-    Parallel(2, prefer="threads")(delayed(row)(*pair) for pair in pairs)
+    Parallel(options.workers, prefer="threads")(delayed(row)(*pair) for pair in pairs)
     for n, each in zip(options.rooms, map(world, options.rooms), strict=True):  # one at a time, for their times
-        mean = {key: np.mean([one[key] for one in each], axis=0) for key in each[0]}
+        mean = {key: np.mean([one[key] for one in each], axis=0) for key in each[0] if key != "by_room"}
         results.append(mean)
         lengths = ", ".join(f"{value:.1f}" for value in mean["length_mm"])
         costs = [f"{mean['train_cpu_s']:.0f}", f"{mean['peak_mb']:.0f}", f"{mean['model_mb']:.0f}"]
         quality = [f"{mean['frame_ms']:.0f}", f"{mean['median_mm']:.1f}", f"{mean['rmse_mm']:.1f}", lengths]
-        rows.append([str(n), f"{mean['frames']:.0f}", *costs, *quality, f"{mean['coverage']:.3f}"])
+        coverage = [f"{mean[key]:.3f}" for key in ("coverage", "least", "least_online", "bounded")]
+        rows.append([str(n), f"{mean['frames']:.0f}", *costs, *quality, *coverage])
         print(rows[-1], flush=True)
     sizes = np.log([mean["frames"] for mean in results])
     slopes = {key: np.polyfit(sizes, np.log([one[key] for one in results]), 1)[0] for key in (*DRAWN, "peak_mb")}
@@ -136,11 +163,13 @@ def main() -> None:
     note = (
         f"Split interleaved, seeds {', '.join(map(str, options.seeds))}. CPU seconds of training from images on, and "
         "peak memory. CPU per frame of a run, with reading of images. Errors online, lengths of regions in x, y and z, "
-        f"and coverage are those of the first room, {results[0]['tested']:.0f} frames or so, nominal 0.90. Growth "
+        f"and coverage are those of the first room, {results[0]['tested']:.0f} frames or so, nominal 0.90; beside them "
+        "the coverage of the least covered room, by images alone and by paths, and the share of bounded regions "
+        "in all rooms. Growth "
         f"with the number of frames, as exponents: {grown}."
     )
     header = ["rooms", "frames", "training, CPU s", "peak, MB", "model, MB", "frame, ms", "median, mm", "RMSE, mm"]
-    header += ["length, mm", "coverage"]
+    header += ["length, mm", "coverage", "least covered room", "by paths", "bounded"]
     seeds, rooms = (" ".join(map(str, numbers)) for numbers in (options.seeds, options.rooms))
     command = f"python benchmarks/growth.py --seeds {seeds} --rooms {rooms}"
     draw(options.rooms, results)

@@ -13,7 +13,7 @@ from common import DATA, REDKITCHEN, RUNS, rmse
 from scipy.spatial.transform import Rotation
 
 from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
-from conformodal.corridor import write_corridor
+from conformodal.corridor import CorridorWorld, Renderer, drone_path, write_corridor, write_flight
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory
@@ -24,7 +24,7 @@ from conformodal.localizer.observations import same_place
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.estimator import odometry_of
-from conformodal.pipeline.model import PoseModel
+from conformodal.pipeline.model import ONLINE, PoseModel
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import train_model
 
@@ -34,7 +34,7 @@ CACHE = FeatureCache(RUNS / "cache")
 
 @dataclass(frozen=True)
 class World:
-    """What is mapped, and what is answered: the test part, or all frames of another recording."""
+    """What is mapped, and what is answered: the test part, or all frames of other recordings."""
 
     mapped: tuple[Path, ...]  # recordings in one world frame; none: a rendered corridor
     split: str
@@ -42,6 +42,7 @@ class World:
     features: str = "xfeat"  # local ones; a corridor's images are too small for XFeat to be better
     poses: Path | None = None  # in place of those of the recording that is mapped
     focal_px: float = float("nan")  # that belongs to these
+    n_laps: int = 0  # of a corridor of three modules that are mapped, each a recording; new laps are answered
 
 
 TUM, FR1 = DATA / "tum", ("fr1_desk", "fr1_xyz", "fr1_rpy")
@@ -57,7 +58,9 @@ WORLDS = {
     "redkitchen by SfM, interleaved": World((REDKITCHEN,), "interleaved", poses=SFM, focal_px=525.505),
     "redkitchen by SfM, blocks": World((REDKITCHEN,), "blocks", poses=SFM, focal_px=525.505),
     "icl_living_room, blocks": World((DATA / "icl_living_room",), "blocks"),
+    "corridor, new laps after three": World((), "blocks", features="orb", n_laps=3),
 }
+N_NEW_LAPS, LAP_MODULES = 2, 3
 EVERY = ("head", "neighbours", "landmarks")
 OTHER_FEATURES = "the other local features"
 VARIANTS: dict[str, dict[str, Any]] = {  # models of their own
@@ -90,9 +93,20 @@ class Laboratory:
     def __init__(self, name: str, seed: int) -> None:
         self.world, self.seed, self.folder = WORLDS[name], seed, RUNS / "worlds" / f"{slug(name)}-{seed}"
 
+    def _lap(self, number: int) -> Recording:
+        """A lap through the corridor of this seed, rendered first."""
+        folder = self.folder / f"lap-{number}" / "seq-01"
+        if not folder.is_dir():
+            world = CorridorWorld(LAP_MODULES, seed=self.seed)
+            path = drone_path(world, 1, seed=1000 * self.seed + number)
+            write_flight(folder, Renderer(world), path.poses_se3, noise_seed=(100 * self.seed + number + 1) * 1_000_003)
+        return read_recording(folder.parent)
+
     @cached_property
     def mapped(self) -> Recording:
         """What is mapped; a corridor is rendered first."""
+        if self.world.n_laps:
+            return join_recordings([self._lap(number) for number in range(self.world.n_laps)])
         corridor = self.folder / "corridor"
         if not self.world.mapped and not (corridor / "seq-01").is_dir():
             write_corridor(corridor, n_modules=N_MODULES, n_laps=N_LAPS, seed=self.seed)
@@ -102,6 +116,8 @@ class Laboratory:
     @cached_property
     def answered(self) -> Recording:
         """What is answered."""
+        if self.world.n_laps:
+            return join_recordings([self._lap(self.world.n_laps + number) for number in range(N_NEW_LAPS)])
         return self.mapped if self.world.answered is None else read_recording(self.world.answered)
 
     def config(self, variant: str) -> ModelConfig:
@@ -124,7 +140,7 @@ class Laboratory:
 
     def run(self, model: PoseModel, **changes: Any) -> OdometryRun:
         """A model's answers; `changes` are those of the recording."""
-        frames = model.split.test if self.world.answered is None else self.answered.posed
+        frames = model.split.test if self.answered is self.mapped else self.answered.posed
         return odometry_of(model).process(replace(self.answered, **changes), frames)
 
     def truth(self, run: OdometryRun) -> Trajectory:
@@ -150,11 +166,24 @@ def frame_by_frame(lab: Laboratory, run: OdometryRun) -> dict[str, dict[str, lis
         }
     for name, xyz in positions.items():
         by_name.setdefault(name, {})["off_m"] = np.linalg.norm(xyz - truth.positions_xyz, axis=1).tolist()
+    by_name[ONLINE]["squared"] = squared_errors(run, truth)
     answer = by_name[run.answer]
     answer["reliable"] = run.reliable.tolist()
     elsewhere = ~same_place(run.trajectory, truth.positions_xyz, truth.orientations_quat_wxyz, run.model.prior)
     answer["elsewhere"] = (run.reliable & elsewhere).tolist()
     return by_name
+
+
+def squared_errors(run: OdometryRun, truth: Trajectory) -> list[float]:
+    """Squared errors of the poses that a stream gives, over the covariance that it states."""
+    squared = []
+    for estimate, xyz, quat in zip(run.estimates, truth.positions_xyz, truth.orientations_quat_wxyz, strict=True):
+        assert estimate.pose is not None
+        turned = Rotation.from_quat(estimate.pose.orientations_quat_wxyz[0], scalar_first=True)
+        turn = (Rotation.from_quat(quat, scalar_first=True) * turned.inv()).as_rotvec()
+        off = np.concatenate((xyz - estimate.pose.positions_xyz[0], turn))
+        squared.append(float(off @ np.linalg.solve(estimate.covariance, off)))
+    return squared
 
 
 def summary(frames: dict[str, list[float]]) -> dict[str, float]:

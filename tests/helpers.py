@@ -51,7 +51,7 @@ def region_record(name, timestamp_s, intervals, known_p=None, evidence=EvidenceT
     region = SimpleNamespace(intervals=lambda _: intervals, product=True)
     estimate = SimpleNamespace(
         timestamp_s=timestamp_s, relative_motion=None, region=region, known_p=known_p, evidence=evidence,
-        reliable=True, places=[], path_region=None,
+        reliable=True, places=[], path_region=None, localization=None,
     )  # fmt: skip
     return record_of(name, estimate)
 

@@ -17,6 +17,7 @@ from conformodal.localizer.evidence import ErrorModel, FrameEvidence
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import MotionPrior
 from conformodal.localizer.regions import PlaceNovelty, RegionRules
+from conformodal.localizer.rooms import Rooms
 from conformodal.localizer.sources.head import HeadSource
 from conformodal.localizer.sources.landmark_map import LandmarkMap
 from conformodal.localizer.sources.landmarks import LandmarkSource
@@ -66,7 +67,7 @@ def small_model(detector=ORB):
     overall = SplitConformal(localizer.cells, 0.2, "density", "max").set_scale(rng.uniform(1, 2, 7), rng.normal(size=7))
     overall.calibrate_scores(rng.normal(size=(60, 7)), labels)
     disturbed = overall.at(0.2).calibrate_scores(rng.normal(size=(30, 7)), labels[:30])
-    rules = RegionRules(overall, np.arange(60) % 2 == 0, rng.random(60), 0.1, disturbed, rng.random(30))
+    rules = RegionRules(overall, np.arange(60) % 2 == 0, rng.random(60), 0.1, disturbed, rng.random(30), labels % 2)
     coarse = FrameEvidence(features[_FRAMES]).coarse(network.config.grid).astype(np.float16)
     test = NoveltyTest(coarse, _FRAMES // 2)
     novelty = PlaceNovelty(test, network.config.grid, test.rescored(rng.normal(size=60), labels))
@@ -74,7 +75,7 @@ def small_model(detector=ORB):
     for path in PATHS:
         scores = np.repeat(rng.random((60, 1)), 7, axis=1)
         calibration = path_rule(localizer.cells, 0.2).calibrate_scores(scores, labels, np.full(60, 3))
-        paths[path] = PathRule(calibration, 0.2)
+        paths[path] = PathRule(calibration, 0.2, labels % 2)
     return PoseModel(
         backbone=network,
         localizer=localizer,
@@ -89,6 +90,7 @@ def small_model(detector=ORB):
         configuration={"method": "conformodal", "data": "numbers", "unit": "m", "features": detector.name},
         comparison=SourceComparison(100, 80, 3, 4, 0.5),
         path_rules=paths,
+        rooms=Rooms(targets[:, :3], np.arange(20) % 2),
         quality=QualityRange(np.zeros(3), np.array([255.0, 255.0, 255.0])),
     )
 

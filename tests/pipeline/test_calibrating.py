@@ -7,6 +7,7 @@ from scipy.stats import norm
 
 from conformodal.conformal import QuantileBins
 from conformodal.features.extract import FeatureCache
+from conformodal.io import SplitKind
 from conformodal.localizer.evidence import PoseMeasurement
 from conformodal.localizer.localizer import Beliefs
 from conformodal.localizer.regions import Support
@@ -129,7 +130,8 @@ def test_frames_that_are_lost_do_not_calibrate_regions_from_posteriors(monkeypat
     rules = SimpleNamespace(overall=overall, known=every, recognised=every)
     folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), unit, unit)
     its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
-    paths = calibrating.calibrate_paths(sequence, np.zeros((n, 7)), folds, [localizer], its, None, [None] * n, "blocks")
+    data = SimpleNamespace(sequence=sequence, targets=np.zeros((n, 7)), split=SplitKind.BLOCKS)
+    paths = calibrating.calibrate_paths(data, folds, [localizer], its, None, [None] * n)
     assert {path.longest_gap_s for path in paths.values()} == {0.3}
     online, hindsight = (paths[path].calibration for path in ("online", "hindsight"))
     np.testing.assert_array_equal(np.sort(online.scores_[:, 0]), score)

@@ -82,7 +82,7 @@ def test_a_region_from_a_posterior_is_unbounded_after_a_gap_longer_than_those_th
     features = np.zeros((3, small.backbone.n_features), np.float32)
     beliefs, limit = small.localizer.beliefs(FrameEvidence(features)), small.path_rules["online"].longest_gap_s
     known = start(beliefs.mixtures[0].candidates, known=True)
-    answers = Localization(beliefs, None, np.ones(3), np.full(3, EvidenceType.LANDMARKS))
+    answers = Localization(beliefs, None, np.ones(3), np.full(3, EvidenceType.LANDMARKS), np.zeros(3, dtype=int))
     posteriors = [replace(known, unseen_s=gap) for gap in (0.0, limit, 1.01 * limit)]
     unbounded = small.path_regions(answers, posteriors, "online").unbounded
     assert unbounded.all(axis=1).tolist() == [False, False, True]

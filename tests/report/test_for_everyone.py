@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from conformodal.report.page import write_page
-from conformodal.report.viewer import make_viewer
+from conformodal.report.viewer import Surroundings, make_viewer
 
 pytestmark = pytest.mark.slow
 
@@ -32,7 +32,7 @@ KINDS = ["run", "bare"]
 
 
 def run_page(folder, make_run, n=60, **options):
-    viewer = make_viewer(*make_run(n, **options), 0.01, [np.array([[-2.0, -2.0], [2.0, -2.0]])])
+    viewer = make_viewer(*make_run(n, **options), 0.01, Surroundings([np.array([[-2.0, -2.0], [2.0, -2.0]])]))
     write_page(folder / "report.html", "a run", ["60 frames.", "more"], METRICS, viewer)
     return folder / "report.html"
 

@@ -10,14 +10,14 @@ from PIL import Image
 from conformodal.geometry import Trajectory
 from conformodal.localizer.regions import EvidenceType
 from conformodal.report.page import write_page
-from conformodal.report.viewer import make_viewer
+from conformodal.report.viewer import Surroundings, make_viewer
 from tests.helpers import region_record
 
 METRICS = {"provenance": {}, "configuration": {}, "n_answered": 60, "split_note": "all frames."}
 
 
 def page_of(folder, run, title="a run"):
-    viewer = make_viewer(*run, trained_xyz=np.zeros((3, 3)))
+    viewer = make_viewer(*run, surroundings=Surroundings(trained_xyz=np.zeros((3, 3))))
     write_page(folder / "report.html", title, ["first line"], METRICS, viewer=viewer)
     return folder / "report.html"
 

@@ -32,7 +32,7 @@ from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import PAGE, ResultsWriter, record_bounded, record_size
 from conformodal.pipeline.stream import StreamRunner
 from conformodal.report.page import METHOD_LABELS, write_page
-from conformodal.report.viewer import Thumbnails, make_viewer
+from conformodal.report.viewer import Surroundings, Thumbnails, make_viewer
 
 from .console import report_line
 
@@ -45,6 +45,14 @@ class Part(StrEnum):
 
     ALL = "all"
     TEST = "test"
+
+
+@dataclass(frozen=True)
+class StopWhen:
+    """What ends a stream before its last frame; all answers until then are kept."""
+
+    limit: int | None = None  # frames
+    signals: Sequence[int] = ()  # that came so far: it ends once there is one
 
 
 # takes every frame with its estimate, and its true pose, a trajectory of one, or None
@@ -100,14 +108,11 @@ def answer_stream(
     report: StageProgress,
     *,
     part: Part = Part.ALL,
-    limit: int | None = None,
     sinks: Sequence[FrameSink] = (),
-    signals: Sequence[int] = (),
+    stop: StopWhen | None = None,
 ) -> Answers:
-    """Answer the frames of a stream, and write regions and trajectories into a folder.
-
-    Once `signals` is not empty, the stream is ended; all answers until then are kept.
-    """
+    """Answer the frames of a stream, until its end or until it is stopped, and write regions and trajectories."""
+    stop = StopWhen() if stop is None else stop
     sequence = stream.sequence if isinstance(stream, RecordingStream) else None
     truth, posed = (None, None) if sequence is None else (sequence.poses, sequence.posed)
     odometry, pictures = odometry_of(model), Thumbnails()
@@ -124,18 +129,18 @@ def answer_stream(
                             report("frames", number, stream.n_frames or 0)
                         if estimate is not None and estimate.region is not None and frame.image is not None:
                             pictures.add(frame.name, frame.image)
-                        if signals or number == limit:
+                        if stop.signals or number == stop.limit:
                             break
             except SourceError as exc:
                 stopped = str(exc)
-            stopped = INTERRUPTED if signals and not stopped else stopped
+            stopped = INTERRUPTED if stop.signals and not stopped else stopped
             runner.finish()
         if not runner.n_answered:
             first = next(iter(runner.problems.values()), "it holds no frame")
             raise OdometryError(f"{stream.name}: no frame could be answered: {stopped or first}")
         if runner.truth is not None:
             writer.truth(runner.truth)
-    whole = not (stopped or number == limit or stream.live or runner.windowed)
+    whole = not (stopped or number == stop.limit or stream.live or runner.windowed)
     seconds, paths = round(time.perf_counter() - started, 2), dict(runner.trajectories)
     return Answers(model, part, runner, writer, paths, pictures.jpegs, stopped, whole, seconds)
 
@@ -226,8 +231,9 @@ def write_answers(
     records, runner = answers.writer.records, answers.runner
     level, unit, paths = answers.model.rules.level, metrics["configuration"]["unit"], answers.trajectories
     trained_xyz = answers.model.known_frames.poses[answers.model.localizer.frames, :3]
+    around = Surroundings(walls, unit, trained_xyz)
     try:
-        viewer = make_viewer(records, paths, runner.truth, answers.pictures, level, walls, unit, trained_xyz)
+        viewer = make_viewer(records, paths, runner.truth, answers.pictures, level, around)
         write_page(answers.writer.unfinished(PAGE), title, summary, metrics, viewer)
     finally:  # a page that cannot be made takes no results with it
         answers.writer.publish(metrics)
@@ -286,4 +292,7 @@ def describe_coverage(coverage: dict[str, Any]) -> str:
         return f"{open_ended}, which says nothing of coverage"
     held, share = round(coverage["bounded_coverage"] * n_bounded), 100 * coverage["bounded_coverage"]
     verb = noun_for(held, "contains", "contain")
-    return f"{held} of {counted(n_bounded, 'bounded region')} ({share:.1f} %) {verb} the true pose; {open_ended}"
+    text = f"{held} of {counted(n_bounded, 'bounded region')} ({share:.1f} %) {verb} the true pose; {open_ended}"
+    if rooms := coverage.get("by_room"):
+        text += f"; of {len(rooms)} rooms the least covered has {100 * rooms[0]['coverage']:.1f} %"
+    return text

@@ -23,7 +23,7 @@ from conformodal.io.diagnosis.trajectories import doubt_truth
 from conformodal.io.folders import writing_in
 from conformodal.localizer.candidates import TARGET_NAMES
 from conformodal.pipeline.config import OdometryError
-from conformodal.pipeline.evaluate import bounded_coverage, error_table
+from conformodal.pipeline.evaluate import bounded_coverage, coverage_by_room, error_table
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import (
     intervals_hold,
@@ -155,6 +155,7 @@ def _coverage(
         "n_evaluated": len(records),
         "abstained": float((~bounded).mean()),
         **bounded_coverage(held, bounded),
+        "by_room": coverage_by_room(held, bounded, np.array([record.get("room", 0) for record in records])),
         "path_coverage": path_coverage,
         "note": _NOTE,
     }

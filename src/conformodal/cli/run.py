@@ -31,6 +31,7 @@ from .answering import (
     INTERRUPTED,
     FrameSink,
     Part,
+    StopWhen,
     answer_stream,
     describe_outcome,
     metrics_of,
@@ -105,7 +106,8 @@ def run(
             frame_sinks(stream.name, loaded.alpha, view=view, save=save, images=save_images) as sinks,
             progress_bars(out) as report,
         ):
-            answers = answer_stream(loaded, stream, out, report, part=part, limit=limit, sinks=sinks, signals=signals)
+            stop = StopWhen(limit, signals)
+            answers = answer_stream(loaded, stream, out, report, part=part, sinks=sinks, stop=stop)
             metrics = {**metrics_of(answers), "model": model_digest(model)}
             write_answers(answers, metrics, f"conformodal: {stream.name}", describe_outcome(stream.name, metrics))
     report_outcome(stream.name, metrics)

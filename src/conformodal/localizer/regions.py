@@ -30,6 +30,7 @@ from conformodal.geometry import fix_sign
 from .candidates import Candidates
 from .evidence import FrameEvidence
 from .observations import Place, summarise
+from .rooms import part_of, thresholds_by_room
 
 # Default significance levels of the novelty test, where single frames were left out and where stretches or recordings
 # were: the probability that an image of a known place is flagged. Chosen on corridors with seeds 20 to 22. With K
@@ -255,6 +256,9 @@ class RegionRules:
     are ``WEAK``. ``LANDMARKS`` is calibrated on all frames in which a place was recognised, so its guarantee includes
     them; as recognition may be as hard as in disturbed images, their thresholds are no smaller than the finite ones of
     ``DISTURBED``.
+
+    Where the world has several rooms, each type is calibrated by room, see
+    :func:`~conformodal.localizer.rooms.thresholds_by_room`; disturbed images are calibrated in all rooms together.
     """
 
     overall: SplitConformal  # calibrated on all frames
@@ -263,6 +267,7 @@ class RegionRules:
     level: float  # significance level of the novelty test
     disturbed: SplitConformal | None = None  # on m disturbed frames
     disturbed_p: FloatArray | None = None  # (m,) their p-values; 1 where a place was recognised
+    rooms: IntArray | None = None  # (n,) room of each frame by its belief; None where there is one
 
     @property
     def known(self) -> BoolArray:
@@ -273,15 +278,34 @@ class RegionRules:
     @cached_property
     def by_type(self) -> dict[EvidenceType, SplitConformal]:
         """Each evidence type but ``UNKNOWN``, calibrated on its own frames, however few."""
-        if self.recognised is None:
-            return {EvidenceType.GLOBAL: part_of(self.overall, self.known)}
-        rules = {
-            EvidenceType.UNMATCHED: part_of(self.overall, self.known & ~self.recognised),
-            EvidenceType.LANDMARKS: part_of(self.overall, self.known & self.recognised),
-        }
+        rules = {kind: part_of(self.overall, chosen) for kind, chosen in self._chosen.items()}
         if self.disturbed is not None and self.disturbed_p is not None:
             rules[EvidenceType.DISTURBED] = part_of(self.disturbed, self.disturbed_p > self.level)
         return rules
+
+    @property
+    def _chosen(self) -> dict[EvidenceType, BoolArray]:
+        """The frames (n,) that calibrate each type, but for disturbed images."""
+        if self.recognised is None:
+            return {EvidenceType.GLOBAL: self.known}
+        return {
+            EvidenceType.UNMATCHED: self.known & ~self.recognised,
+            EvidenceType.LANDMARKS: self.known & self.recognised,
+        }
+
+    @cached_property
+    def _by_room(self) -> dict[EvidenceType, dict[int, RealArray]]:
+        """Thresholds (7,) of each evidence type and room."""
+        if self.rooms is None:
+            return {}
+        chosen = self._chosen.items()
+        return {kind: thresholds_by_room(self.by_type[kind], self.rooms[rows]) for kind, rows in chosen}
+
+    def in_room(self, kind: EvidenceType, room: int) -> SplitConformal:
+        """A type calibrated on the frames of one room; on those of all where there is one, or images are disturbed."""
+        if self.rooms is None or kind is EvidenceType.DISTURBED:
+            return self.by_type[kind]
+        return part_of(self.by_type[kind], self.rooms[self._chosen[kind]] == room)
 
     def kinds(self, known_p: FloatArray, recognised: BoolArray, disturbed: BoolArray | bool = False) -> IntArray:
         """(m,) evidence types of new images, from their p-values, NaN if not tested.
@@ -297,8 +321,8 @@ class RegionRules:
         harder = disturbed & (self.disturbed is not None) & (kinds != EvidenceType.UNKNOWN)
         return np.where(harder, EvidenceType.DISTURBED, kinds).astype(np.int64)
 
-    def thresholds(self, kinds: IntArray) -> RealArray:
-        """(m, 7) thresholds of images with these evidence types.
+    def thresholds(self, kinds: IntArray, rooms: IntArray | None = None) -> RealArray:
+        """(m, 7) thresholds of images with these evidence types, in these `rooms` (m,) of a world that has several.
 
         Disturbed images have at least the finite thresholds of the types that they would have otherwise: an image may
         as well leave the range of qualities by chance.
@@ -307,6 +331,8 @@ class RegionRules:
         calibrated = np.where(kinds == EvidenceType.WEAK, EvidenceType.LANDMARKS, kinds)
         for kind, rule in self.by_type.items():
             limits[calibrated == kind] = rule.thresholds_
+            for room, own in self._by_room.get(kind, {}).items() if rooms is not None else ():
+                limits[(calibrated == kind) & (rooms == room)] = own
         for kind, others in _AT_LEAST.items():
             for other in self.by_type.keys() & others:
                 least = self.by_type[other].thresholds_
@@ -318,19 +344,6 @@ class RegionRules:
         rate = float(as_alpha(alpha))
         disturbed = None if self.disturbed is None else self.disturbed.at(rate)
         return replace(self, overall=self.overall.at(rate), disturbed=disturbed)
-
-
-def part_of(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:
-    """A rule calibrated on some of its frames (n,) alone."""
-    part = SplitConformal(rule.bins, rule.alpha, rule.score, rule.joint, rule.empty)
-    if rule.joint == "max":
-        loc, scale = rule.scales()
-        part.set_scale(scale, loc)
-    if rule.units_ is None:
-        return part.calibrate_scores(rule.scores_[chosen])
-    # a frame keeps its weight in its stretch, so that the guarantees of all types add up to that of a new stretch
-    _, group, counts = np.unique(rule.units_, return_inverse=True, return_counts=True)
-    return part.calibrate_scores(rule.scores_[chosen], rule.units_[chosen], counts[group][chosen])
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,12 +18,13 @@ from conformodal.features.backbone import Backbone
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.local import QualityRange
 from conformodal.geometry import RelativeMotion
-from conformodal.io import Disturbance, Recording, SplitKind
+from conformodal.io import Disturbance, SplitKind
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
 from conformodal.localizer.localizer import Beliefs, Localizer, belief_cells
 from conformodal.localizer.observations import MotionPrior, Observations, Posterior
-from conformodal.localizer.regions import EvidenceType, PlaceNovelty, RegionRules, part_of, pose_scores
+from conformodal.localizer.regions import EvidenceType, PlaceNovelty, RegionRules, pose_scores
+from conformodal.localizer.rooms import Rooms, part_of
 from conformodal.localizer.sources.registry import SourceData
 from conformodal.localizer.turning import TurnTracker
 from conformodal.tracking.motions import frame_features, turned_features
@@ -59,10 +60,11 @@ def calibrate_regions(
     novelty: PlaceNovelty | None,
     config: ModelConfig,
     motions: dict[int, RelativeMotion | None],
+    rooms: Rooms | None = None,
 ) -> CalibratedRegions:
     """Thresholds by evidence type, from one localizer per fold that learnt from the fold's training frames alone.
 
-    `motions` are those between held-out frames.
+    `motions` are those between held-out frames; with `rooms`, each has thresholds of its own.
     """
     pairs = list(zip(folds.folds, localizers, strict=True))
     for fold, localizer in pairs:
@@ -94,7 +96,9 @@ def calibrate_regions(
         for (fold, localizer), one in zip(pairs, beliefs, strict=True)
     ]
     overall = rule.calibrate_scores(np.concatenate(scores), units)
-    return CalibratedRegions(RegionRules(overall, recognised, known_p, level), novelty, beliefs)
+    in_rooms = None if rooms is None else rooms.rooms_of([m.candidates for one in beliefs for m in one.mixtures])
+    rules = RegionRules(overall, recognised, known_p, level, rooms=in_rooms)
+    return CalibratedRegions(rules, novelty, beliefs)
 
 
 def _evidence(data: SourceData, frames: IntArray, *, local: bool) -> FrameEvidence:
@@ -222,19 +226,19 @@ class _Scored(Rows):
     lost: BoolArray
     unseen_s: FloatArray
     rows: IntArray  # among the held-out frames
+    rooms: IntArray  # by the posteriors; 0 where there is one
 
 
 def calibrate_paths(
-    sequence: Recording,
-    targets: FloatArray,
+    data: SourceData,
     folds: Folds,
     localizers: Sequence[Localizer],
     calibrated: CalibratedRegions,
     prior: MotionPrior,
     motions: dict[int, RelativeMotion | None],
-    kind: SplitKind,
+    rooms: Rooms | None = None,
 ) -> dict[str, PathRule]:
-    """Rules of regions from posteriors, by path. `motions` are those between held-out frames of a split of this kind.
+    """Rules of regions from posteriors, by path. `motions` are those between held-out frames.
 
     Each stretch or recording that calibrates is run as a stream, at the recording's rate, by sources that had not seen
     it. The guarantee, for a random frame of a new stretch that is run from its first frame, is approximate: the motion
@@ -244,10 +248,10 @@ def calibrate_paths(
     They calibrate streams of about as many other frames drawn so: with more frames a second, posteriors are sharper.
     Where frames calibrate but stretches are held out, there are no such rules.
     """
-    if folds.units is None and kind is not SplitKind.INTERLEAVED:
+    if folds.units is None and data.split is not SplitKind.INTERLEAVED:
         return {}
     rules, units = calibrated.rules, folds.units
-    streams = sequence.recording if units is None else units
+    streams = data.sequence.recording if units is None else units
     scored: dict[str, list[_Scored]] = {path: [] for path in PATHS}
     start = 0
     for fold, localizer, beliefs in zip(folds.folds, localizers, calibrated.beliefs, strict=True):
@@ -259,7 +263,7 @@ def calibrate_paths(
             observations = Observations(
                 [beliefs.mixtures[i].candidates for i in rows],
                 [motions[frame] for frame in frames.tolist()],
-                sequence.timestamps_s[frames],
+                data.sequence.timestamps_s[frames],
                 known=rules.known[start + at],
             )
             forward = filter_posteriors(observations, prior)
@@ -270,8 +274,11 @@ def calibrate_paths(
         for path, each in posteriors.items():
             after = beliefs.part(rows).after(each)
             lost = np.array([one.lost for one in each]) | _out_of_range(localizer, after)
-            scores = score_beliefs(rule, localizer, after, targets[held_out[rows]])
-            scored[path].append(_Scored(scores, lost, np.array([one.unseen_s for one in each]), start + rows))
+            scores = score_beliefs(rule, localizer, after, data.targets[held_out[rows]])
+            unseen_s = np.array([one.unseen_s for one in each])
+            best = [mixture.candidates for mixture in after.mixtures]
+            in_rooms = np.zeros(len(rows), dtype=np.int64) if rooms is None else rooms.rooms_of(best)
+            scored[path].append(_Scored(scores, lost, unseen_s, start + rows, in_rooms))
         start += len(held_out)
     held_out_units = None if units is None else units[folds.held_out]
     return {path: _path_rule(rules.overall, parts, held_out_units) for path, parts in scored.items()}
@@ -282,7 +289,9 @@ def _path_rule(overall: SplitConformal, parts: list[_Scored], units: IntArray | 
     every = _Scored.concatenate(parts)
     rule = path_rule(overall.bins, overall.alpha)
     rule.calibrate_scores(every.scores, None if units is None else units[every.rows])
-    return PathRule(part_of(rule, ~every.lost), float(every.unseen_s[~every.lost].max(initial=0.0)))
+    found = ~every.lost
+    rooms = every.rooms[found] if every.rooms.any() else None
+    return PathRule(part_of(rule, found), float(every.unseen_s[found].max(initial=0.0)), rooms)
 
 
 def compare_sources(

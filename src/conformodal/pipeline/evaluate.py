@@ -28,6 +28,10 @@ _MIXED = (
     f"{_AT_RANDOM}, but some images are disturbed as no training image is; copies disturbed at random calibrate their "
     "regions, so there is no exact band."
 )
+_SMALL_ROOMS = (
+    f"{_AT_RANDOM}, but some rooms have too few calibration frames for thresholds of their own, so there is no exact "
+    "band."
+)
 _OBSERVED = "Coverage here is an observation."
 _BROKEN = (
     "These are not the frames, or not all of them, that were held out at random together with the calibration frames: "
@@ -56,6 +60,7 @@ class RegionStatistics(Rows):
     kinds: IntArray  # (n,) what each region rests on, see :class:`~conformodal.localizer.regions.EvidenceType`
     held: BoolArray  # (n,) whether the region holds the whole pose
     n_places: IntArray  # (n,) cuboids that it consists of
+    rooms: IntArray  # (n,) room of each frame by its belief, see :class:`~conformodal.localizer.rooms.Rooms`
 
     @property
     def bounded(self) -> BoolArray:
@@ -67,13 +72,20 @@ class RegionStatistics(Rows):
 
     @classmethod
     def of(
-        cls, regions: PoseRegions, truth: Trajectory, sign_reference: FloatArray, kinds: IntArray | None = None
+        cls,
+        regions: PoseRegions,
+        truth: Trajectory,
+        sign_reference: FloatArray,
+        kinds: IntArray | None = None,
+        rooms: IntArray | None = None,
     ) -> RegionStatistics:
         """Statistics of the regions of frames whose poses are known; `kinds` says what each rests on."""
         kinds = np.full(len(regions), EvidenceType.GLOBAL, dtype=np.int64) if kinds is None else kinds
+        rooms = np.zeros(len(regions), dtype=np.int64) if rooms is None else rooms
         targets = pose_targets(truth, sign_reference)
         inside, held = regions.contains(targets), regions.contains(targets, joint=True)
-        return cls(inside, regions.length, regions.n_intervals, regions.unbounded, kinds, held, regions.n_places)
+        sizes = regions.length, regions.n_intervals, regions.unbounded
+        return cls(inside, *sizes, kinds, held, regions.n_places, rooms)
 
 
 def error_table(trajectories: dict[str, Trajectory], truth: Trajectory) -> dict[str, dict[str, float]]:
@@ -91,13 +103,24 @@ def coverage_table(statistics: RegionStatistics, model: PoseModel, *, exchangeab
     # weakly recognised places: the guarantee of others holds, as their thresholds are no smaller
     kinds = np.where(statistics.kinds == EvidenceType.WEAK, EvidenceType.LANDMARKS, statistics.kinds)
     chosen = {kind: kinds == kind for kind in (*rules.by_type, EvidenceType.UNKNOWN)}
-    met = [(rule.n_units, int(chosen[kind].sum())) for kind, rule in rules.by_type.items() if chosen[kind].any()]
+    shown = {kind: chosen[kind] for kind in rules.by_type}
+    if (weak := statistics.kinds == EvidenceType.WEAK).any():
+        shown[EvidenceType.WEAK] = weak
+    groups = [
+        (rules.in_room(kind, room), int((chosen[kind] & (statistics.rooms == room)).sum()))
+        for kind in rules.by_type
+        for room in np.unique(statistics.rooms[chosen[kind]]).tolist()
+    ]
+    met = [(rule.n_units, n) for rule, n in groups]
     met.append((0, int(chosen[EvidenceType.UNKNOWN].sum())))  # always covered
+    # small rooms have thresholds that are not of their own frames alone
+    own = rules.rooms is None or all(rule.weight >= 1 / rule.alpha_per_target - 1 for rule, _ in groups)
     by_frame, whole = rules.overall.units_ is None, calibration.joint == "max"
     # those that left the range of qualities by chance are not exchangeable with disturbed ones
-    one_law = exchangeable and by_frame and not (statistics.kinds == EvidenceType.DISTURBED).any()
+    alike = not (statistics.kinds == EvidenceType.DISTURBED).any()
+    one_law = exchangeable and by_frame and alike and own
     if exchangeable and by_frame:
-        reach = (_ONE_LAW if whole else _LAW_PER_TARGET) if one_law else _MIXED
+        reach = (_ONE_LAW if whole else _LAW_PER_TARGET) if one_law else _SMALL_ROOMS if alike else _MIXED
     else:
         reach = _BROKEN if by_frame else _OBSERVED
     targets: dict[str, dict[str, Any]] = {}
@@ -121,15 +144,17 @@ def coverage_table(statistics: RegionStatistics, model: PoseModel, *, exchangeab
         "n_evaluated": len(statistics),
         "unbounded": bool(statistics.unbounded[~chosen[EvidenceType.UNKNOWN]].any()),
         **_sizes(statistics),
+        # weak ones once more by themselves: that is no guarantee's
         "by_evidence": {
             kind.name.lower(): {
-                "frames": int(chosen[kind].sum()),
-                "calibrated_on": rule.n_units,
-                "joint_coverage": _mean(held[chosen[kind]]),
-                **bounded_coverage(held[chosen[kind]], finite[chosen[kind]]),
+                "frames": int(frames.sum()),
+                "calibrated_on": rules.by_type[kind].n_units if kind in rules.by_type else None,
+                "joint_coverage": _mean(held[frames]),
+                **bounded_coverage(held[frames], finite[frames]),
             }
-            for kind, rule in rules.by_type.items()
+            for kind, frames in shown.items()
         },
+        "by_room": coverage_by_room(held, finite, statistics.rooms),
         "targets": targets,
         "joint_coverage": float(held.mean()),
         "joint_band_99": list(grouped_coverage_band(met, calibration.alpha)) if one_law and whole else None,
@@ -176,6 +201,17 @@ def _sizes(regions: RegionStatistics) -> dict[str, Any]:
 def bounded_coverage(held: BoolArray, bounded: BoolArray) -> dict[str, Any]:
     """How many regions are bounded, and the coverage of these: an unbounded region holds the truth whatever it is."""
     return {"n_bounded": int(bounded.sum()), "bounded_coverage": _mean(held[bounded])}
+
+
+def coverage_by_room(held: BoolArray, bounded: BoolArray, rooms: IntArray) -> list[dict[str, Any]]:
+    """Coverage of n frames by the room of each, the least covered room first; empty where all are of one room."""
+    parts = {room: rooms == room for room in np.unique(rooms).tolist()}
+    rows = [
+        {"room": room, "frames": int(part.sum()), "coverage": float(held[part].mean())}
+        | bounded_coverage(held[part], bounded[part])
+        for room, part in parts.items()
+    ]
+    return sorted(rows, key=lambda row: row["coverage"]) if len(rows) > 1 else []
 
 
 def _mean(values: BoolArray | FloatArray | IntArray) -> float | None:

@@ -97,7 +97,8 @@ def guarantees(model: PoseModel) -> list[EvidenceGuarantee]:
     """The guarantees of a model, one for each evidence type that has regions of its own."""
     listed = []
     for evidence, rule in model.rules.by_type.items():
-        exact = model.frames_are_exchangeable and rule.units_ is None
+        # with several rooms, each has a law of its own
+        exact = model.frames_are_exchangeable and rule.units_ is None and model.rules.rooms is None
         listed.append(
             EvidenceGuarantee(
                 evidence=evidence,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import sqrt
 from typing import Any, Self
 
@@ -24,6 +25,7 @@ from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.localizer import Beliefs, Localizer
 from conformodal.localizer.observations import MotionPrior, Posterior
 from conformodal.localizer.regions import EvidenceType, PlaceNovelty, PoseRegions, RegionRules, Support, pose_regions
+from conformodal.localizer.rooms import Rooms, thresholds_by_room
 from conformodal.localizer.sources.landmarks import LandmarkSource
 
 from .config import Method, OdometryError
@@ -78,6 +80,16 @@ class PathRule:
     calibration: SplitConformal
     # from a calibration frame to the nearest whose image shows a known place: posteriors beyond are not calibrated
     longest_gap_s: float
+    rooms: IntArray | None = None  # (n,) room of each calibration frame by its posterior; None where there is one
+
+    @cached_property
+    def _by_room(self) -> dict[int, RealArray]:
+        return {} if self.rooms is None else thresholds_by_room(self.calibration, self.rooms)
+
+    def thresholds(self, rooms: IntArray) -> RealArray:
+        """(m, 7) thresholds of posteriors in these rooms (m,)."""
+        every = self.calibration.thresholds_
+        return np.array([self._by_room.get(room, every) for room in rooms.tolist()]).reshape(-1, every.size)
 
 
 @dataclass(frozen=True)
@@ -124,6 +136,7 @@ class Localization:
     regions: PoseRegions
     known_p: FloatArray  # (n,) p-values of "this image shows a known place"; NaN where images are not tested
     kinds: IntArray  # (n,) evidence types, see :class:`~conformodal.localizer.regions.EvidenceType`
+    rooms: IntArray  # (n,) room of each by its belief, see :class:`~conformodal.localizer.rooms.Rooms`; 0 in one room
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:
@@ -132,8 +145,9 @@ class Localization:
         mixtures = [mixture for part in parts for mixture in part.beliefs.mixtures]
         estimates = [estimate for part in parts for estimate in part.beliefs.estimates]
         regions = PoseRegions.concatenate([part.regions for part in parts])
-        known_p, kinds = (np.concatenate([getattr(part, name) for part in parts]) for name in ("known_p", "kinds"))
-        return cls(Beliefs(proba, mixtures, estimates), regions, known_p, kinds)
+        names = "known_p", "kinds", "rooms"
+        known_p, kinds, rooms = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
+        return cls(Beliefs(proba, mixtures, estimates), regions, known_p, kinds, rooms)
 
     @property
     def candidates(self) -> list[Candidates]:
@@ -169,6 +183,7 @@ class PoseModel:
     # of the images that the sources know; images beyond are disturbed. None where disturbed ones are not calibrated
     quality: QualityRange | None = None
     detector: Detector = ORB  # of local features
+    rooms: Rooms | None = None  # each with thresholds of its own; None where all frames are of one room
 
     def __post_init__(self) -> None:
         if self.looks_at_local_features and not self.localizer.local:
@@ -251,7 +266,14 @@ class PoseModel:
         kinds = self.rules.kinds(p, beliefs.recognised, disturbed)
         supports = self.localizer.supports(beliefs)
         kinds[[support.out_of_range for support in supports]] = EvidenceType.UNKNOWN
-        return Localization(beliefs, self.image_regions(beliefs, kinds, supports), p, kinds)
+        rooms = self._rooms_of(beliefs)
+        return Localization(beliefs, self.image_regions(beliefs, kinds, supports), p, kinds, rooms)
+
+    def _rooms_of(self, beliefs: Beliefs) -> IntArray:
+        """(n,) the room of each belief."""
+        if self.rooms is None:
+            return np.zeros(len(beliefs), dtype=np.int64)
+        return self.rooms.rooms_of([mixture.candidates for mixture in beliefs.mixtures])
 
     def image_regions(
         self, beliefs: Beliefs, kinds: IntArray, supports: Sequence[Support] | None = None
@@ -260,7 +282,7 @@ class PoseModel:
 
         `supports` are those of the beliefs, where they were computed before.
         """
-        thresholds = self.rules.thresholds(kinds)
+        thresholds = self.rules.thresholds(kinds, self._rooms_of(beliefs))
         supports = self.localizer.supports(beliefs) if supports is None else supports
         return self._level_sets(self.rules.overall, beliefs, supports, thresholds)
 
@@ -289,7 +311,8 @@ class PoseModel:
             posterior.lost or posterior.unseen_s > rule.longest_gap_s or support.out_of_range
             for posterior, support in zip(posteriors, supports, strict=True)
         ]
-        of_path, alone = rule.calibration.thresholds_, self.rules.thresholds(answers.kinds)
+        of_path = rule.thresholds(self._rooms_of(after))
+        alone = self.rules.thresholds(answers.kinds, answers.rooms)
         harder = np.isin(answers.kinds, (EvidenceType.DISTURBED, EvidenceType.WEAK))[:, None] & np.isfinite(alone)
         if self.rules.overall.score == rule.calibration.score:  # shares of the belief, as those of paths are
             of_path = np.where(harder, np.maximum(alone, of_path), of_path)

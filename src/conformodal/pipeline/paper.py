@@ -78,7 +78,8 @@ class PaperOdometry(Odometry):
         beliefs, rule = self.model.localizer.beliefs(FrameEvidence(features)), self.model.calibration
         supports = [Support.of(m.candidates, rule.bins, self.model.sign_reference) for m in beliefs.mixtures]
         regions = pose_regions(rule, beliefs.proba, supports, rule.thresholds_)
-        return Localization(beliefs, regions, np.array([np.nan]), np.array([EvidenceType.GLOBAL], dtype=np.int64))
+        kinds, rooms = np.array([EvidenceType.GLOBAL], dtype=np.int64), np.zeros(1, dtype=np.int64)
+        return Localization(beliefs, regions, np.array([np.nan]), kinds, rooms)
 
 
 class Greedy:

@@ -61,6 +61,8 @@ def record_of(name: str, estimate: Estimate) -> dict[str, Any]:
         "place_p": float(f"{estimate.places[0].probability:.4g}") if estimate.places else None,
         "known_p": None if estimate.known_p is None else float(f"{estimate.known_p:.4g}"),
         "evidence": evidence.name.lower(),
+        # by the image's belief, of a world of several rooms; 0 of one
+        "room": 0 if estimate.localization is None else int(estimate.localization.rooms[0]),
         "motion": "first" if motion is None else str(motion.status),
         # [null, null] is the whole line; [] an empty set
         "intervals": {name: _ends(parts) for name, parts in zip(TARGET_NAMES, region.intervals(0), strict=True)},

@@ -38,13 +38,14 @@ from conformodal.localizer.candidates import TARGET_NAMES
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import MotionPrior
 from conformodal.localizer.regions import PlaceNovelty, RegionRules
+from conformodal.localizer.rooms import Rooms
 from conformodal.localizer.sources.registry import SourceState, find_source
 
 from .config import Method
 from .identity import FrameIdentities
 from .model import PATHS, ExpectedInput, PathRule, PoseModel, SourceComparison, path_rule
 
-FORMAT = "conformodal-model-28"
+FORMAT = "conformodal-model-29"
 _JSON = "model.json"
 _FILES = {  # with the first digits of their digests; the detector of local features may have no network: an empty file
     "weights": "weights-{}.safetensors",
@@ -75,6 +76,9 @@ _ARRAYS: dict[str, ArraySpec] = {  # of a model; those of its sources are theirs
     "disturbed.scores": ArraySpec("fd", ("disturbed", 7), "finite or infinite"),
     "disturbed.known_p": ArraySpec("d", ("disturbed",), "probabilities or NaN"),
     "quality": ArraySpec("d", (2, 3)),
+    "rooms.positions_xyz": ArraySpec("d", ("frames of rooms", 3)),
+    "rooms.rooms": ArraySpec("lq", ("frames of rooms",), "anything"),
+    "calibration.rooms": ArraySpec("lq", ("n",), "anything"),
 }
 for _path_name in PATHS:
     _rows = (f"frames of path {_path_name}?",)
@@ -83,6 +87,7 @@ for _path_name in PATHS:
         f"path.{_path_name}.units": ArraySpec("lq", _rows, "anything"),
         f"path.{_path_name}.sizes": ArraySpec("lq", _rows, "positive"),
         f"path.{_path_name}.longest_gap_s": ArraySpec("d", (1,)),
+        f"path.{_path_name}.rooms": ArraySpec("lq", _rows, "anything"),
     }
 _RATE, _SHARE, _POSITIVE = Range(0, 1, "()"), Range(0, 1), Range(0, 1e9, "(]")
 _COUNT, _SIDE = Range(0, 10**9, whole=True), Range(1, 100_000, whole=True)
@@ -181,6 +186,7 @@ def _arrays(model: PoseModel) -> dict[str, AnyArray | None]:
         "calibration.scores": overall.scores_,
         "calibration.known_p": rules.known_p,
         "calibration.recognised": rules.recognised,
+        "calibration.rooms": rules.rooms,
         "calibration.units": overall.units_,
         "calibration.loc": loc,
         "calibration.scale": scale,
@@ -189,7 +195,9 @@ def _arrays(model: PoseModel) -> dict[str, AnyArray | None]:
         calibration = rule.calibration
         arrays[f"path.{path}.scores"] = calibration.scores_.max(axis=1)
         arrays |= {f"path.{path}.units": calibration.units_, f"path.{path}.sizes": calibration.unit_sizes_}
-        arrays[f"path.{path}.longest_gap_s"] = np.array([rule.longest_gap_s])
+        arrays |= {f"path.{path}.longest_gap_s": np.array([rule.longest_gap_s]), f"path.{path}.rooms": rule.rooms}
+    if model.rooms is not None:
+        arrays |= {"rooms.positions_xyz": model.rooms.positions_xyz, "rooms.rooms": model.rooms.rooms}
     if novelty is not None:
         arrays |= {"novelty.references": novelty.test.references, "novelty.units": novelty.test.units_}
         if novelty.matched is not None:
@@ -300,6 +308,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path)
         comparison=None if comparison is None else SourceComparison(**comparison),
         path_rules=path_rules,
         quality=QualityRange(*arrays["quality"]) if "quality" in arrays else None,
+        rooms=_rooms(arrays),
     )
 
 
@@ -316,6 +325,12 @@ def _naming(part: str) -> Iterator[None]:
         raise ConformodalError(f"{part}: {exc}") from exc
 
 
+def _rooms(arrays: dict[str, AnyArray]) -> Rooms | None:
+    if "rooms.rooms" not in arrays:
+        return None
+    return Rooms(arrays["rooms.positions_xyz"], arrays["rooms.rooms"])
+
+
 def _prior(record: dict[str, Any]) -> MotionPrior:
     table = [record[name] for name in ("intervals_s", "top_speed_mps", "acceleration_density")]
     if len({len(column) for column in table}) > 1 or (np.diff(table[0]) <= 0).any():
@@ -330,7 +345,8 @@ def _rules(cells: QuantileBins, stated: dict[str, Any], arrays: dict[str, AnyArr
         overall.set_scale(arrays["calibration.scale"], arrays["calibration.loc"])
     overall.calibrate_scores(arrays["calibration.scores"], arrays.get("calibration.units"))
     known_p, recognised = arrays["calibration.known_p"], arrays.get("calibration.recognised")
-    rules = RegionRules(overall, recognised, known_p, float(stated["novelty_level"]))
+    level, rooms = float(stated["novelty_level"]), arrays.get("calibration.rooms")
+    rules = RegionRules(overall, recognised, known_p, level, rooms=rooms)
     if "disturbed.scores" not in arrays:
         return rules
     units = None if overall.units_ is None else arrays["disturbed.units"]
@@ -343,7 +359,7 @@ def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], path: str) -> Pa
     scores = np.repeat(arrays[f"path.{path}.scores"][:, None], rule.bins.n_targets, axis=1)
     of_units = () if rules.overall.units_ is None else ("units", "sizes")
     rule.calibrate_scores(scores, *(arrays[f"path.{path}.{name}"] for name in of_units))
-    return PathRule(rule, float(arrays[f"path.{path}.longest_gap_s"][0]))
+    return PathRule(rule, float(arrays[f"path.{path}.longest_gap_s"][0]), arrays.get(f"path.{path}.rooms"))
 
 
 def _novelty(arrays: dict[str, AnyArray], grid: tuple[int, int]) -> PlaceNovelty | None:

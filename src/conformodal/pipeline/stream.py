@@ -188,7 +188,8 @@ class StreamRunner:
         truth = self.true_pose(frame)
         if truth is not None:
             sign, kind = self.estimator.model.sign_reference, np.array([estimate.evidence])
-            self._statistics.append(RegionStatistics.of(region, truth, sign, kind))
+            rooms = None if estimate.localization is None else estimate.localization.rooms
+            self._statistics.append(RegionStatistics.of(region, truth, sign, kind, rooms))
             self._true_poses.append(truth)
             self.rows_with_truth.append(self.n_answered - 1)
             self._reliable.append(estimate.reliable)

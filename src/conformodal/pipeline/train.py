@@ -18,6 +18,7 @@ from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import fit_motion_prior
 from conformodal.localizer.regions import PlaceNovelty
+from conformodal.localizer.rooms import Rooms
 from conformodal.localizer.sources.registry import find_source
 
 from .calibrate import (
@@ -114,15 +115,16 @@ def train_model(
         depth_m, depth_spread = data.depths
         prior = replace(prior, depth_m=depth_m, depth_spread=depth_spread)
     path_rules: dict[str, PathRule] = {}
+    rooms: Rooms | None = None
     if config.method is Method.PAPER:  # without a novelty test
         regions = CalibratedRegions(paper_rules(sources, folds.held_out, localizer, config), None, [])
     else:
         features, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
         novelty = PlaceNovelty.fit(features, pieces, data.backbone.config.grid)
-        frames_alone = calibrate_regions(sources, folds, localizers, novelty, config, motions)
-        path_rules = calibrate_paths(
-            data.sequence, data.targets, folds, localizers, frames_alone, prior, motions, data.split.kind
-        )
+        known = folds.region_frames
+        rooms = Rooms.of(data.targets[known, :3], data.sequence.recording[known], data.depths[0])
+        frames_alone = calibrate_regions(sources, folds, localizers, novelty, config, motions, rooms)
+        path_rules = calibrate_paths(sources, folds, localizers, frames_alone, prior, motions, rooms)
         regions = calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, frames_alone, progress)
     rules, novelty = regions.rules, regions.novelty
     test = data.split.test
@@ -142,4 +144,5 @@ def train_model(
         path_rules=path_rules,
         quality=regions.quality,
         detector=data.detector,
+        rooms=rooms,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import islice, product
 from math import inf
 from typing import Any
@@ -50,24 +51,30 @@ class Thumbnails:
         self._n_offered += 1
 
 
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What a run's path is drawn in."""
+
+    walls: Sequence[FloatArray] = ()  # (2, 2) segments, drawn where the plan shows x and y
+    unit: str = "m"  # of lengths
+    trained_xyz: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # (k, 3) where training frames were
+
+
 def make_viewer(
     records: Sequence[dict[str, Any]],
     trajectories: Mapping[str, Trajectory],
     truth: Trajectory | None = None,
     images: Mapping[str, bytes] | None = None,
     level: float | None = None,
-    walls: Sequence[FloatArray] = (),
-    unit: str = "m",
-    trained_xyz: FloatArray | None = None,
+    surroundings: Surroundings | None = None,
 ) -> dict[str, Any]:
     """What the template of a run's viewer needs; of long runs, it shows at most a thousand frames, evenly spread.
 
     The first trajectory is the answer. A truth of some of the frames is not shown. `images` are JPEG data by frame
     name: where there are some, the frames shown are among these. `level` is the p-value at or below which an image
-    shows no known place; `walls` are (2, 2) segments, drawn where the plan shows x and y. `unit` is that of lengths.
-    `trained_xyz` (k, 3) are positions of the frames that the model was trained on.
+    shows no known place.
     """
-    n, images = len(records), images or {}
+    n, images, around = len(records), images or {}, surroundings or Surroundings()
     answer, classical = next(iter(trajectories.values())), trajectories.get("classical")
     truth = truth if truth is not None and len(truth) == n else None
     frames = [_region_of(record) for record in records]
@@ -77,23 +84,22 @@ def make_viewer(
     for i, frame in enumerate(frames):
         if truth is not None:
             frame["held"] = bool(holds_truth[i])
-        frame["say"] = _describe_frame(frame, unit, holds_pose=bool(holds_pose[i]))
+        frame["say"] = _describe_frame(frame, around.unit, holds_pose=bool(holds_pose[i]))
     stride = max(1, -(-n // MAX_FRAMES))
     shown = [frame for i, frame in enumerate(frames) if (frame["n"] in images if images else i % stride == 0)]
     for frame in shown if images else ():
         frame["img"] = base64.b64encode(images[frame["n"]]).decode()
     flat = sorted(np.argsort(-np.ptp(answer.positions_xyz, axis=0))[:2].tolist())
-    trained_xyz = np.empty((0, 3)) if trained_xyz is None else trained_xyz
     data = {
         "frames": shown,
-        "trained": trained_xyz[evenly_spread(len(trained_xyz), MAX_FRAMES)].round(3).tolist(),
+        "trained": around.trained_xyz[evenly_spread(len(around.trained_xyz), MAX_FRAMES)].round(3).tolist(),
         "axes": flat,
-        "unit": unit,
+        "unit": around.unit,
         "up": ({0, 1, 2} - set(flat)).pop(),
         "truth": truth is not None,
         "classical": classical is not None,
         "level": level,
-        "walls": [np.round(wall, 3).tolist() for wall in walls] if flat == [0, 1] else [],
+        "walls": [np.round(wall, 3).tolist() for wall in around.walls] if flat == [0, 1] else [],
     }
     return {
         "data": data,

@@ -1,0 +1,101 @@
+"""Rooms of a world: recordings near each other are of one room, and each room keeps its own coverage.
+
+Scores of frames are larger in some rooms than in others, so one threshold for all holds fewer poses there and more
+elsewhere. Thresholds by room are Mondrian calibration (Vovk et al. 2003); the room of a frame is a function of its
+belief, the same for frames that calibrate and new ones, and never of the true pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from conformodal.conformal import SplitConformal
+from conformodal.conformal.checks import as_alpha
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
+
+from .candidates import Candidates
+
+# Two recordings are of one room if this share of the frames of either lies within so many scene depths of the other
+_NEAR_DEPTHS, _MIN_SHARE = 0.5, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Rooms:
+    """Positions (m, 3) of known frames, and the room (m,) of each, counted from 0."""
+
+    positions_xyz: FloatArray
+    rooms: IntArray
+
+    @classmethod
+    def of(cls, positions_xyz: FloatArray, recording: IntArray, depth_m: float) -> Self | None:
+        """From frames at positions (m, 3) of numbered recordings (m,), in scenes of this median depth.
+
+        None if all are of one room, or the depth is not known (NaN).
+        """
+        if not np.isfinite(depth_m):
+            return None
+        names, numbers = np.unique(recording, return_inverse=True)
+        paths = [positions_xyz[numbers == i] for i in range(len(names))]
+        trees = [KDTree(path) for path in paths]
+        near_m = _NEAR_DEPTHS * depth_m
+        joined = [[_share_near(path, tree, near_m) >= _MIN_SHARE for tree in trees] for path in paths]
+        n_rooms, room = connected_components(np.array(joined), directed=True, connection="weak")
+        return cls(positions_xyz, room[numbers].astype(np.int64)) if n_rooms > 1 else None
+
+    @cached_property
+    def _known(self) -> KDTree:
+        return KDTree(self.positions_xyz)
+
+    def rooms_of(self, beliefs: Sequence[Candidates]) -> IntArray:
+        """The room (n,) of the most probable hypothesis of each of n beliefs: that of the nearest known frame."""
+        best = [one.positions_xyz[np.argmax(one.log_mass)] for one in beliefs]
+        return self.rooms[self._known.query(np.reshape(best, (-1, 3)))[1]]
+
+
+def _share_near(path: FloatArray, other: KDTree, near_m: float) -> float:
+    """The share of a path's positions (m, 3) that are near another path."""
+    return float(np.isfinite(other.query(path, distance_upper_bound=near_m)[0]).mean())
+
+
+def part_of(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:
+    """A rule calibrated on some of its frames (n,) alone; each keeps its weight in its stretch.
+
+    So the guarantees of all parts add up to that of a new stretch.
+    """
+    part = SplitConformal(rule.bins, rule.alpha, rule.score, rule.joint, rule.empty)
+    if rule.joint == "max":
+        loc, scale = rule.scales()
+        part.set_scale(scale, loc)
+    if rule.units_ is None:
+        return part.calibrate_scores(rule.scores_[chosen])
+    sizes = rule.unit_sizes_
+    if sizes is None:
+        _, group, counts = np.unique(rule.units_, return_inverse=True, return_counts=True)
+        sizes = counts[group]
+    return part.calibrate_scores(rule.scores_[chosen], rule.units_[chosen], sizes[chosen])
+
+
+def thresholds_by_room(rule: SplitConformal, rooms: IntArray) -> dict[int, RealArray]:
+    """Thresholds (d,) of each room, from the calibration frames of a rule and their rooms (n,).
+
+    A room whose frames weigh less than a finite threshold needs has the larger one of its own quantile, without the
+    margin for a new frame, and the threshold of all rooms; its guarantee is no more than that of all rooms together.
+    """
+    return {room: _of_room(rule, part_of(rule, rooms == room)) for room in np.unique(rooms).tolist()}
+
+
+def _of_room(every: SplitConformal, own: SplitConformal) -> RealArray:
+    rate, weight = own.alpha_per_target, own.weight
+    if weight >= 1 / rate - 1:
+        return own.thresholds_
+    # at this rate, the rank among `weight + 1` is that of alpha among `weight`
+    share = (1 + weight * rate) / (weight + 1)
+    quantile = own.at(share * as_alpha(own.alpha) / rate).thresholds_
+    return np.maximum(np.where(np.isfinite(quantile), quantile, -np.inf), every.thresholds_)

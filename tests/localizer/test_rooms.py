@@ -1,0 +1,110 @@
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from conformodal.conformal import QuantileBins, SplitConformal, conformal_quantile
+from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.regions import EvidenceType, RegionRules
+from conformodal.localizer.rooms import Rooms, part_of, thresholds_by_room
+
+CELLS = QuantileBins.from_edges([np.arange(3.0)] * 2)
+
+
+def rule(scores, units=None, alpha=0.25):
+    return SplitConformal(CELLS, alpha, "hpd", "max").calibrate_scores(np.tile(scores[:, None], 2), units)
+
+
+def belief(*positions, mass):
+    n, upright = len(positions), np.array([1.0, 0, 0, 0])
+    return Candidates(np.array(positions), np.ones((n, 3)), np.tile(upright, (n, 1)), np.ones(n), np.log(mass))
+
+
+def path(x, n=20):
+    return np.column_stack((np.full(n, float(x)), np.linspace(0, 3, n), np.zeros(n)))
+
+
+def test_recordings_that_come_near_each_other_are_of_one_room():
+    xyz, recording = np.concatenate([path(x) for x in (0, 0.4, 20, 20.8)]), np.repeat([3, 5, 6, 9], 20)
+    rooms = Rooms.of(xyz, recording, depth_m=2.0)  # near is one metre
+    assert rooms.rooms.tolist() == [0] * 40 + [1] * 40
+    assert Rooms.of(xyz, recording, depth_m=1.0).rooms.tolist() == [0] * 40 + [1] * 20 + [2] * 20
+    assert Rooms.of(xyz, recording, depth_m=100.0) is None
+    assert Rooms.of(xyz, recording, depth_m=np.nan) is None
+    assert Rooms.of(xyz[:20], recording[:20], depth_m=2.0) is None
+
+
+def test_two_rooms_with_a_door_between_them_stay_two():
+    """One frame of the second room is in the first one, a third of whose frames are near it."""
+    xyz = np.concatenate((path(0), path(5)))
+    xyz[-1] = xyz[0]
+    assert Rooms.of(xyz, np.repeat([0, 1], 20), depth_m=2.0).rooms.max() == 1
+
+
+def test_the_room_of_a_belief_is_that_of_its_most_probable_hypothesis():
+    rooms = Rooms(np.concatenate((path(0), path(20))), np.repeat([0, 1], 20))
+    here, there = [0.3, 1.0, 0.0], [23.0, 1.0, 0.0]
+    beliefs = [belief(here, there, mass=[0.6, 0.4]), belief(here, there, mass=[0.4, 0.6]), belief(there, mass=[1e-9])]
+    assert rooms.rooms_of(beliefs).tolist() == [0, 1, 1]
+    assert rooms.rooms_of([]).tolist() == []
+
+
+@pytest.mark.parametrize("n_members", [1, 3])
+def test_the_guarantee_holds_in_each_room_with_enough_weight(n_members):
+    """Each of the units is the new one once: of exchangeable units, this average is their law, without noise."""
+    rng, alpha = np.random.default_rng(n_members), 0.25
+    for _ in range(25):
+        n_units = int(rng.integers(16, 24))
+        # units are of one room mostly, and rooms differ: room 1 is harder
+        rooms = (rng.random((n_units, n_members)) < rng.choice([0.1, 0.9], (n_units, 1))).astype(np.int64)
+        scores = rng.random((n_units, n_members)) * (1 + rooms) + rng.random((n_units, 1))
+        missed, enough = np.zeros(scores.shape, dtype=bool), np.zeros(scores.shape, dtype=bool)
+        for new in range(n_units):
+            others = np.delete(np.arange(n_units), new)
+            units = None if n_members == 1 else np.repeat(others, n_members)
+            whole, of = rule(scores[others].ravel(), units, alpha), rooms[others].ravel()
+            limits = thresholds_by_room(whole, of)
+            for room, limit in limits.items():
+                weight, here = part_of(whole, of == room).weight, rooms[new] == room
+                missed[new, here] = scores[new, here] > limit[0]
+                enough[new, here] = weight >= 1 / Fraction(alpha) - 1
+        for room in (0, 1):
+            if enough[rooms == room].all():  # of all units the share in this room that is missed
+                assert missed[rooms == room].sum() <= alpha * (rooms == room).sum() + 1e-9
+
+
+def test_a_small_room_has_the_larger_of_its_own_quantile_and_that_of_all():
+    easy, hard = np.linspace(0.1, 0.5, 40), np.array([0.2, 0.9])
+    whole = rule(np.concatenate((easy, hard)))
+    limits = thresholds_by_room(whole, np.repeat([0, 7], [40, 2]))
+    np.testing.assert_allclose(limits[0], conformal_quantile(easy, 0.25), rtol=1e-9)
+    np.testing.assert_allclose(limits[7], 0.9, rtol=1e-9)  # two of two are at most 3/4 of two, rounded up
+    lower = thresholds_by_room(rule(np.concatenate((easy, hard / 10))), np.repeat([0, 7], [40, 2]))
+    np.testing.assert_allclose(lower[7], conformal_quantile(np.concatenate((easy, hard / 10)), 0.25), rtol=1e-9)
+
+
+def test_a_part_of_a_part_keeps_the_weights_in_whole_units():
+    scores, units = np.arange(12) / 12, np.repeat([0, 1, 2], 4)
+    half = part_of(rule(scores, units), np.tile([True, True, False, False], 3))
+    quarter = part_of(half, np.tile([True, False], 3))
+    assert half.weight == Fraction(3, 2)
+    assert quarter.weight == Fraction(3, 4)
+
+
+def test_each_type_has_thresholds_by_room():
+    rng = np.random.default_rng(0)
+    rooms, recognised = rng.integers(0, 2, 200), rng.random(200) < 0.5
+    scores = rng.random(200) * (1 + rooms)
+    rules = RegionRules(rule(scores), recognised, np.ones(200), 0.1, rooms=rooms)
+    for kind, of_kind in ((EvidenceType.LANDMARKS, recognised), (EvidenceType.UNMATCHED, ~recognised)):
+        for room in (0, 1):
+            own = conformal_quantile(scores[of_kind & (rooms == room)], 0.25)
+            limits = rules.thresholds(np.array([kind]), np.array([room]))
+            np.testing.assert_allclose(limits, np.full((1, 2), own), rtol=1e-9)
+        elsewhere = rules.thresholds(np.array([kind]), np.array([5]))  # no frame of it calibrates
+        np.testing.assert_array_equal(elsewhere[0], rules.by_type[kind].thresholds_)
+    alone = replace(rules, rooms=None)
+    kinds = np.array([EvidenceType.LANDMARKS])
+    np.testing.assert_array_equal(alone.thresholds(kinds, np.array([1])), alone.thresholds(kinds))
+    assert (rules.thresholds(np.array([EvidenceType.UNKNOWN]), np.array([0])) == np.inf).all()
