@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 from conformodal.cli.console import print_where, progress_bars, report_errors, report_line
 from conformodal.cli.sources import Cache, DataLayout
 from conformodal.core.arrays import FloatArray
-from conformodal.core.parallel import Engine
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
@@ -32,6 +31,7 @@ from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import ResultsError, read_metrics, write_metrics
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
+from conformodal.pipeline.workers import Engine
 from conformodal.tracking.tracker import CornerTracker
 
 from .conditions import ALPHA, Row, run_name, task_key

@@ -21,7 +21,6 @@ import typer
 from conformodal.cli.console import OptionError, print_where, progress_bars, report_errors, report_line
 from conformodal.cli.sources import Cache, DataLayout, cache_folder, open_sequence
 from conformodal.core.files import write_whole
-from conformodal.core.parallel import Engine
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig, check_network
 from conformodal.io import Layout, Recording, SplitKind
@@ -30,6 +29,7 @@ from conformodal.pipeline.config import Method
 from conformodal.pipeline.identity import identify
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import write_metrics
+from conformodal.pipeline.workers import Engine
 
 from .baselines import BASELINES
 from .conditions import NETWORKS, Row, TrainingTask, rows_of, tasks_of

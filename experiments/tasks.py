@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from conformodal.conformal import ConformodalError
 from conformodal.core.files import write_whole
-from conformodal.core.parallel import Engine, parallel_workers
+from conformodal.pipeline.workers import Engine, parallel_workers
 
 Result: TypeAlias = dict[str, Any]
 

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import adjustment as adjustment_module
 from conformodal.geometry import rigid_motions
-from conformodal.geometry.adjustment import INVERSE_DEPTHS, POSITIONS, Adjustment, Bundle, Observations, PosePriors
+from conformodal.geometry.adjustment import INVERSE_DEPTHS, POSITIONS, Adjustment, Bundle, ObservedCorners, PosePriors
 
 
 def world(n_cameras=6, n_points=40, seed=0):
@@ -21,7 +21,7 @@ def observe(bundle, noise=0.0, hidden=0.1, seed=0):
     rng = np.random.default_rng(seed)
     n, p = len(bundle.centres), len(bundle.points)
     camera, point = np.nonzero(rng.random((n, p)) >= hidden)
-    return Observations(camera, point, project(bundle, camera, point) + noise * rng.normal(size=(len(camera), 2)))
+    return ObservedCorners(camera, point, project(bundle, camera, point) + noise * rng.normal(size=(len(camera), 2)))
 
 
 def project(bundle, camera, point):

@@ -45,8 +45,8 @@ def running(world, folder, **options):
         runner = StreamRunner(VisualOdometry(world[1]), writer, **options)
         yield runner
         runner.finish()
-        if runner.truth is not None:
-            writer.truth(runner.truth)
+        if runner.scores.truth is not None:
+            writer.truth(runner.scores.truth)
     writer.publish({})
 
 
@@ -71,8 +71,8 @@ def test_a_run_on_a_recording_and_a_stream_of_its_frames_write_equal_bytes(world
     assert 5 < len(records) == (model.split.test < model.split.test[0] + 60).sum()
     assert [r["frame"] for r in records] == [sequence.image_paths[i].name for i in answered]
     # what is on disk contains the poses that the regions contain
-    sign, truth = model.sign_reference, runner.truth
-    np.testing.assert_array_equal(records_hold(records, truth, sign), runner.statistics.held)
+    sign, truth = model.sign_reference, runner.scores.truth
+    np.testing.assert_array_equal(records_hold(records, truth, sign), runner.scores.statistics.held)
     # random frames calibrate, so the regions from several frames are for such streams
     assert "as many other frames drawn so" in runner.path_coverage["assumption"]
     paths = records_hold(records, truth, sign, "path_places")

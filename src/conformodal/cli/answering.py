@@ -125,7 +125,7 @@ def answer_stream(
                         estimate = runner.push(frame)
                         if estimate is not None:
                             for sink in sinks:
-                                sink(frame, estimate, runner.true_pose(frame))
+                                sink(frame, estimate, runner.scores.true_pose(frame))
                             report("frames", number, stream.n_frames or 0)
                         if estimate is not None and estimate.region is not None and frame.image is not None:
                             pictures.add(frame.name, frame.image)
@@ -138,8 +138,8 @@ def answer_stream(
         if not runner.n_answered:
             first = next(iter(runner.problems.values()), "it holds no frame")
             raise OdometryError(f"{stream.name}: no frame could be answered: {stopped or first}")
-        if runner.truth is not None:
-            writer.truth(runner.truth)
+        if (truth := runner.scores.truth) is not None:
+            writer.truth(truth)
     whole = not (stopped or number == stop.limit or stream.live or runner.windowed)
     seconds, paths = round(time.perf_counter() - started, 2), dict(runner.trajectories)
     return Answers(model, part, runner, writer, paths, pictures.jpegs, stopped, whole, seconds)
@@ -179,13 +179,13 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
         "stopped": answers.stopped,
         "seconds": answers.seconds,
     }
-    truth, paths = runner.truth, answers.trajectories
-    rows = None if truth is None else np.array(runner.rows_with_truth)
+    truth, paths = runner.scores.truth, answers.trajectories
+    rows = None if truth is None else np.array(runner.scores.rows_with_truth)
     if truth is not None and rows is not None:
         paths = {name: path[rows] for name, path in paths.items()}
         metrics |= {"n_with_truth": len(truth), "errors": error_table(paths, truth)}
         exchangeable = answers.whole and every and model.frames_are_exchangeable
-        metrics["coverage"] = coverage_table(runner.statistics, model, exchangeable=exchangeable)
+        metrics["coverage"] = coverage_table(runner.scores.statistics, model, exchangeable=exchangeable)
         metrics["path_coverage"] = runner.path_coverage
     return metrics | {"verdict": _verdict(metrics)}
 
@@ -233,7 +233,7 @@ def write_answers(
     trained_xyz = answers.model.known_frames.poses[answers.model.localizer.frames, :3]
     around = Surroundings(walls, unit, trained_xyz)
     try:
-        viewer = make_viewer(records, paths, runner.truth, answers.pictures, level, around)
+        viewer = make_viewer(records, paths, runner.scores.truth, answers.pictures, level, around)
         write_page(answers.writer.unfinished(PAGE), title, summary, metrics, viewer)
     finally:  # a page that cannot be made takes no results with it
         answers.writer.publish(metrics)

@@ -12,7 +12,6 @@ import numpy as np
 import typer
 
 from conformodal.core.extras import require_extra
-from conformodal.core.parallel import Engine, parallel_workers
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.features.extract import FeatureCache
@@ -28,6 +27,7 @@ from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import lock_output, write_metrics
 from conformodal.pipeline.store import model_digest, save_model
 from conformodal.pipeline.train import train_model
+from conformodal.pipeline.workers import Engine, parallel_workers
 from conformodal.quality.advice import advice, describe_size, numbers, quality_record, verdict
 from conformodal.quality.examining import examine
 

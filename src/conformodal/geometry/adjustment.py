@@ -53,7 +53,7 @@ class Bundle(NamedTuple):
     log_focal: float = 0.0  # change of the focal length
 
 
-class Observations(NamedTuple):
+class ObservedCorners(NamedTuple):
     """Which camera sees which point where; a camera sees a point at most once."""
 
     camera: IntArray  # (m,) increasing
@@ -97,7 +97,7 @@ class Fit(NamedTuple):
 class Adjustment:
     """A problem of bundle adjustment."""
 
-    observations: Observations
+    observations: ObservedCorners
     sigma: float  # standard deviation of an observation on the plane at depth 1
     cauchy: float  # residuals larger than so many sigmas are down-weighted
     unknown: slice  # POSITIONS or INVERSE_DEPTHS
@@ -190,7 +190,7 @@ class Adjustment:
 class _NormalEquations:
     """Normal equations of cameras (6 unknowns each), points (d each) and focal length."""
 
-    observations: Observations
+    observations: ObservedCorners
     unknown: slice
     cameras: FloatArray  # (n, 6, 6)
     points: FloatArray  # (p, d, d)

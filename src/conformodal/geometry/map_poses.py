@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray, IntArray
 
-from .adjustment import MAD_OF_NORMAL, POSITIONS, Adjustment, Bundle, Observations, PosePriors
+from .adjustment import MAD_OF_NORMAL, POSITIONS, Adjustment, Bundle, ObservedCorners, PosePriors
 from .camera import PinholeCamera
 from .poses import rigid_motions
 from .triangulation import Points, Rays
@@ -146,7 +146,7 @@ class MapPoses:
         priors = PosePriors(poses_se3 @ self.mounted.T_pose_cam, self.sigmas)
         order = np.argsort(tracks.frame, kind="stable")
         adjustment = Adjustment(
-            Observations(tracks.frame[order], tracks.point[order], tracks.plane[order]),
+            ObservedCorners(tracks.frame[order], tracks.point[order], tracks.plane[order]),
             sigma=2 / (camera.fx + camera.fy),
             cauchy=1.0,
             unknown=POSITIONS,

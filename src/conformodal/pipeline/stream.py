@@ -7,8 +7,6 @@ from collections import defaultdict
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Self
 
-import numpy as np
-
 from conformodal.core.arrays import IntArray
 from conformodal.core.parallel import release_freed_memory
 from conformodal.geometry import Trajectory, concatenate
@@ -19,9 +17,9 @@ from conformodal.localizer.regions import PoseRegions
 from conformodal.localizer.smoother import image_hypotheses, smooth
 
 from .estimates import Estimate, observations_of
-from .evaluate import RegionStatistics, path_coverage_table
 from .model import HINDSIGHT, METHODS, ONLINE
 from .results import ResultsWriter, record_of
+from .stream_scores import StreamScores
 
 if TYPE_CHECKING:
     from .estimator import Odometry  # which answers recordings by a runner
@@ -46,6 +44,33 @@ def whole_paths(posteriors: list[Posterior], observations: Observations, prior: 
 def as_trajectory(path: PosePath) -> Trajectory:
     """The poses of a path."""
     return Trajectory(path.timestamps_s, path.positions_xyz, path.orientations_quat_wxyz)
+
+
+class StreamClock:
+    """Whether the times of a stream go on, frame by frame."""
+
+    def __init__(self) -> None:
+        self._last: Frame | None = None
+        self._n_back = 0  # frames in a row
+
+    def check(self, frame: Frame) -> str:
+        """Why a frame has no place in time, as that of its own problem; empty if it has.
+
+        Raises
+        ------
+        SourceError
+            If more than ten frames in a row are not later than the last one that is.
+        """
+        if not math.isfinite(frame.timestamp_s):
+            return f"timestamp is {frame.timestamp_s} s, expected a finite number"
+        if self._last is not None and not frame.timestamp_s > self._last.timestamp_s:
+            what = f"{frame.name} at {frame.timestamp_s} s follows {self._last.name} at {self._last.timestamp_s} s"
+            self._n_back += 1
+            if self._n_back > _MAX_BACK:
+                raise SourceError(f"time goes back: {what}")
+            return f"timestamp did not increase: {what}"
+        self._n_back, self._last = 0, frame
+        return ""
 
 
 class StreamRunner:
@@ -75,24 +100,16 @@ class StreamRunner:
         self.window, self.overlap = window, overlap
         self.n_answered = self.n_problems = 0  # frames so far
         self.n_localized = 0  # those with an absolute pose estimate from landmarks
-        self.rows_with_truth: list[int] = []  # which of the answers have a true pose, counted from 0
+        self.scores = StreamScores(estimator.model, truth, posed)
         self.windowed = False  # whether a recording was too long to be answered as a whole
         self.problems: dict[str, str] = {}  # of the first hundred frames without an image, by name
         self.hindsight_regions: list[PoseRegions] = []  # of all frames so far, if they are kept and the model has them
         self._keep_regions = keep_regions
-        self._truth = truth
-        frames = range(0 if truth is None else len(truth)) if posed is None else posed.tolist()
-        self._row = {frame: row for row, frame in enumerate(frames)}
-        self._true_poses: list[Trajectory] = []
         self._poses: defaultdict[str, list[Trajectory]] = defaultdict(list)
-        self._statistics: list[RegionStatistics] = []
-        self._path_statistics: dict[str, list[RegionStatistics]] = {ONLINE: [], HINDSIGHT: []}
-        self._reliable: list[bool] = []
         self._pending: list[tuple[Estimate, Trajectory | None]] = []  # with the truth; their final answer is to come
         self._n_written = 0  # of the pending, which stay to tell of those that follow
         self._recording: int | None = None
-        self._last: Frame | None = None
-        self._n_back = 0  # frames in a row
+        self._clock = StreamClock()
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="windows")
         self._job: Future[None] | None = None
         estimator.reset()
@@ -104,51 +121,22 @@ class StreamRunner:
         return {method: concatenate(self._poses[method]) for method in ordered}
 
     @property
-    def statistics(self) -> RegionStatistics:
-        """Of the regions of all answered frames, if the truth is known and there are any."""
-        return RegionStatistics.concatenate(self._statistics)
-
-    @property
     def path_coverage(self) -> dict[str, Any] | None:
         """Of the regions from posteriors; None where the model has none or no truth is known."""
-        measured = {path: RegionStatistics.concatenate(parts) for path, parts in self._path_statistics.items() if parts}
-        truth = self.truth
-        if not measured or truth is None:
-            return None
-        online = self.trajectories[ONLINE][np.array(self.rows_with_truth)]
-        return path_coverage_table(measured, self.estimator.model, online, truth, np.array(self._reliable))
-
-    @property
-    def truth(self) -> Trajectory | None:
-        """True poses of the answered frames that have one; None if none has."""
-        return concatenate(self._true_poses) if self._true_poses else None
-
-    def true_pose(self, frame: Frame) -> Trajectory | None:
-        """The true pose of a frame, a trajectory of one; None where it is not known."""
-        row = self._row.get(frame.index)
-        return None if self._truth is None or row is None else self._truth[row : row + 1]
+        return self.scores.path_coverage(self.trajectories[ONLINE]) if ONLINE in self._poses else None
 
     def push(self, frame: Frame) -> Estimate | None:
         """Take the next frame; None where it wants no answer, or has no time, which is a problem of that frame alone.
 
         The timestamps of more than ten frames in a row that are not later than the one before end the stream.
         """
-        if not math.isfinite(frame.timestamp_s):
-            self._note(frame, f"timestamp is {frame.timestamp_s} s, expected a finite number")
+        if problem := self._clock.check(frame):
+            self._note(frame, problem)
             return None
-        if self._last is not None and not frame.timestamp_s > self._last.timestamp_s:
-            what = f"{frame.name} at {frame.timestamp_s} s follows {self._last.name} at {self._last.timestamp_s} s"
-            self._n_back += 1
-            if self._n_back > _MAX_BACK:
-                raise SourceError(f"time goes back: {what}")
-            self._note(frame, f"timestamp did not increase: {what}")
-            return None
-        self._n_back = 0
         if frame.recording != self._recording:
             self._flush(everything=True)
             self.estimator.reset()
             self._recording = frame.recording
-        self._last = frame
         if not frame.answer:
             self.estimator.track_only(frame.image, frame.timestamp_s)
             return None
@@ -177,23 +165,15 @@ class StreamRunner:
 
     def _append(self, frame: Frame, estimate: Estimate) -> None:
         """Count, measure and write an answer, and queue it for the whole path."""
-        region, pose = estimate.region, estimate.pose
-        assert region is not None
+        pose = estimate.pose
         assert pose is not None
-        assert estimate.evidence is not None
         self.n_answered += 1
         self.n_localized += bool(estimate.estimates)
         if self.writer is not None:
             self.writer.region(record_of(frame.name, estimate))
-        truth = self.true_pose(frame)
+        truth = self.scores.true_pose(frame)
         if truth is not None:
-            sign, kind = self.estimator.model.sign_reference, np.array([estimate.evidence])
-            rooms = None if estimate.localization is None else estimate.localization.rooms
-            self._statistics.append(RegionStatistics.of(region, truth, sign, kind, rooms))
-            self._true_poses.append(truth)
-            self.rows_with_truth.append(self.n_answered - 1)
-            self._reliable.append(estimate.reliable)
-            self._measure_path(ONLINE, estimate.path_region, truth)
+            self.scores.add(self.n_answered - 1, estimate, truth)
         if not self.estimator.whole_paths:  # each answer is the last word
             self._add_poses(self.estimator.answer, pose)
             return
@@ -238,13 +218,8 @@ class StreamRunner:
             if self._keep_regions and region is not None:
                 self.hindsight_regions.append(region)
             if truth is not None:
-                self._measure_path(HINDSIGHT, region, truth)
+                self.scores.add_path(HINDSIGHT, region, truth)
         release_freed_memory()
-
-    def _measure_path(self, path: str, region: PoseRegions | None, truth: Trajectory) -> None:
-        if region is not None:
-            sign = self.estimator.model.sign_reference
-            self._path_statistics[path].append(RegionStatistics.of(region, truth, sign))
 
     def _finish_window(self) -> None:
         """Wait for the window that is being answered."""

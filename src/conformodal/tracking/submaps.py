@@ -15,7 +15,7 @@ import poselib
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.geometry import MotionStatus, PinholeCamera, Submap
-from conformodal.geometry.adjustment import INVERSE_DEPTHS, MEDIAN_OF_NORM2, Adjustment, Bundle, Observations
+from conformodal.geometry.adjustment import INVERSE_DEPTHS, MEDIAN_OF_NORM2, Adjustment, Bundle, ObservedCorners
 from conformodal.geometry.triangulation import Rays, triangulate
 
 from .relative_pose import estimate_relative_motion
@@ -91,7 +91,7 @@ def _submap(corners: Sequence[Corners], frames: IntArray, camera: PinholeCamera)
     pixel = 2.0 / (camera.fx + camera.fy)
     frame, corner = np.nonzero(views.visible)
     fit = Adjustment(
-        Observations(frame, corner, camera.on_plane(views.others[frame, corner])),
+        ObservedCorners(frame, corner, camera.on_plane(views.others[frame, corner])),
         sigma=_SIGMA_PX * pixel,
         cauchy=_CAUCHY,
         unknown=INVERSE_DEPTHS,

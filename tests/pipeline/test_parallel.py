@@ -8,7 +8,8 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from conformodal.core.errors import ConformodalError
-from conformodal.core.parallel import Engine, in_threads, in_workers, parallel_workers
+from conformodal.core.parallel import in_threads, in_workers
+from conformodal.pipeline.workers import Engine, parallel_workers
 
 
 @pytest.fixture
