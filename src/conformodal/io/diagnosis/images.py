@@ -74,6 +74,15 @@ class _Change(NamedTuple):
     before: float = np.nan  # share of these before both cameras
     rank: int = 0  # of several that fit alike: the lowest is the most usual
 
+    @property
+    def fit(self) -> float:
+        """Share of the matches near their line whose points are before both cameras, as far as that can be told."""
+        return _fit(self.share, self.before)
+
+
+def _fit(share: float, before: float) -> float:
+    return share if np.isnan(before) else share * before
+
 
 def diagnose_poses(recording: Recording) -> Cause | None:
     """Why matched corners do not lie on the epipolar lines of the poses, before both cameras; None where they do.
@@ -96,20 +105,22 @@ def diagnose_poses(recording: Recording) -> Cause | None:
         return _told(_best_axes(recording.poses.poses_se3, matches, rays, camera), near)
     if given < _FITS and (repeats := _parts_that_repeat(recording.poses)):
         return Cause(repeats, near, "give both of one rate, interpolated to the images' times")
-    return None if given > 1 - _BETTER else _explain(recording.poses, camera, matches, rays, motions, near)
+    if _fit(given, before) > 1 - _BETTER:
+        return None
+    return _explain(recording.poses, camera, matches, rays, motions, near)
 
 
 def _explain(
     truth: Trajectory, camera: PinholeCamera, matches: _Matches, rays: FloatArray, motions: _Motions, near: str
 ) -> Cause | None:
     """The best of changes of camera and poses, if it is better than none; `near` says how the poses fit as read."""
-    given = float(_shares_near(motions, rays, camera.fx))
+    given = _fit(float(_shares_near(motions, rays, camera.fx)), _share_before(motions, rays, camera.fx))
     changes = [_best_focal(camera, matches, motions), _best_axes(truth.poses_se3, matches, rays, camera)]
-    if max(given, *(change.share for change in changes)) < _FITS:
+    if max(given, *(change.fit for change in changes)) < _FITS:
         changes.append(_best_shift(truth, matches, rays, camera.fx))
-    most = max(change.share for change in changes)
+    most = max(change.fit for change in changes)
     if most >= max(_FITS_NOT, given + _BETTER):
-        return _told(next(change for change in changes if change.share > most - _EQUAL), near)
+        return _told(next(change for change in changes if change.fit > most - _EQUAL), near)
     if given >= _FITS_NOT:
         return None
     return Cause(
@@ -143,12 +154,15 @@ def _best_shift(truth: Trajectory, matches: _Matches, rays: FloatArray, focal_px
     asked = times[matches.frames].ravel()
     in_order = _Matches(np.arange(asked.size).reshape(-1, 2), matches.pixels)
 
-    def share_at(shift_s: float) -> float:
+    def motions_at(shift_s: float) -> _Motions:
         rows = poses_at(truth, asked + shift_s, 5 * step).rows
         inside = np.isfinite(rows).all(axis=1)
         path = np.full((asked.size, 4, 4), np.nan)
         path[inside] = Trajectory(asked[inside], rows[inside, :3], rows[inside, 3:]).poses_se3
-        return float(_shares_near(_motions(path, in_order), rays, focal_px))
+        return _motions(path, in_order)
+
+    def share_at(shift_s: float) -> float:
+        return float(_shares_near(motions_at(shift_s), rays, focal_px))
 
     longest = min(_MAX_SHIFT_S, float(np.ptp(times)) / 2)
     shifts = np.linspace(-longest, longest, _SHIFTS)
@@ -161,7 +175,8 @@ def _best_shift(truth: Trajectory, matches: _Matches, rays: FloatArray, focal_px
         share = 0.0
     side = "late" if best > 0 else "early"
     what = f"poses seem to be {abs(best):.3g} s ({abs(best) / step:.3g} frames) too {side} for the images"
-    return _Change(share, what, "shift their times, or the lines of the file")
+    before = _share_before(motions_at(best), rays, focal_px)
+    return _Change(share, what, "shift their times, or the lines of the file", before)
 
 
 def _best_focal(camera: PinholeCamera, matches: _Matches, motions: _Motions) -> _Change:
@@ -171,7 +186,9 @@ def _best_focal(camera: PinholeCamera, matches: _Matches, motions: _Motions) -> 
     shares = [float(_shares_near(motions, centred / [focal, focal, 1], focal)) for focal in focals.tolist()]
     low, high = focals[np.flatnonzero(np.array(shares) > max(shares) - _EQUAL)[[0, -1]]]
     what = f"the poses imply a focal length of {low:.0f} to {high:.0f} px where {camera.fx:.0f} px is given"
-    return _Change(max(shares), what, "check the camera")
+    focal = float(focals[np.argmax(shares)])
+    before = _share_before(motions, centred / [focal, focal, 1], focal)
+    return _Change(max(shares), what, "check the camera", before)
 
 
 def _best_axes(poses_se3: FloatArray, matches: _Matches, rays: FloatArray, camera: PinholeCamera) -> _Change:
@@ -191,9 +208,9 @@ def _best_axes(poses_se3: FloatArray, matches: _Matches, rays: FloatArray, camer
     for tier, worlds in ((readings[:2], still), (readings[2:], still), (readings[:2], turns)):
         for view, in_middle in views if most < _FITS else []:
             fitting = _fitting(tier, worlds, turns, matches, view, camera.fx, centred=in_middle)
-            if max(change.share for change in fitting) > most + _EQUAL:
-                found, most = fitting, max(change.share for change in fitting)
-    same = sorted((change for change in found if change.share > most - _EQUAL), key=lambda change: change.rank)
+            if max(change.fit for change in fitting) > most + _EQUAL:
+                found, most = fitting, max(change.fit for change in fitting)
+    same = sorted((change for change in found if change.fit > most - _EQUAL), key=lambda change: change.rank)
     whats = list(dict.fromkeys(change.what for change in same))
     what = " or ".join(whats[:_MAX_NAMES]) + (f", or {len(whats) - _MAX_NAMES} others" * (len(whats) > _MAX_NAMES))
     remedies = list(dict.fromkeys(change.remedy for change in same))[:_MAX_NAMES]
