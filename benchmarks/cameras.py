@@ -38,7 +38,7 @@ from conformodal.io import Disturbance
 from conformodal.pipeline.model import ONLINE
 
 DISTURBED = ("redkitchen, blocks", "fr1_xyz from fr1_desk")
-ABLATED = tuple(WORLDS)[:4]
+ABLATED = (*tuple(WORLDS)[:4], "corridor, new laps after three")
 OTHERS = ("without motion", "without the filter")
 ELLIPSOIDS = (0.5, 0.9, 0.99)
 QUARTERS = ("smallest", "second", "third", "largest")
