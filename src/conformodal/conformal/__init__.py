@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from .density.named import QuickDensity, StackedDensity
     from .diagnosis import Diagnosis, diagnose
     from .doubts import DataWarning
+    from .errors import NotCalibratedError
     from .predictive import PredictiveDensity
-    from .regressor import ConformalRegressor, NotCalibratedError
+    from .regressor import ConformalRegressor
 
 _LATE = {  # a camera needs none of these, and scikit-learn takes half a second to import
     ".calibrators.conditional": ("ConditionalConformal",),
@@ -37,8 +38,9 @@ _LATE = {  # a camera needs none of these, and scikit-learn takes half a second 
     ".density.named": ("QuickDensity", "StackedDensity"),
     ".diagnosis": ("Diagnosis", "diagnose"),
     ".doubts": ("DataWarning",),
+    ".errors": ("NotCalibratedError",),
     ".predictive": ("PredictiveDensity",),
-    ".regressor": ("ConformalRegressor", "NotCalibratedError"),
+    ".regressor": ("ConformalRegressor",),
 }
 __getattr__ = lazy_getattr(__name__, {name: module for module, names in _LATE.items() for name in names})
 

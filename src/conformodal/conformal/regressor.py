@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import issparse
 from sklearn.base import BaseEstimator, RegressorMixin
-from sklearn.exceptions import NotFittedError
 from sklearn.frozen import FrozenEstimator
 from sklearn.utils import check_random_state, get_tags
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -63,10 +62,6 @@ _CALIBRATION_SIZE = Range(0, 1, "[)")
 # With few calibration samples, one beyond that would make all regions unbounded: bins reach as far again as the range.
 _TAIL, _FEW_TO_CALIBRATE = 1.0, 100
 _BINS_OF_DENSITY, _BINS_OF_CLASSIFIER = 200, 50
-
-
-class NotCalibratedError(ConformodalError, NotFittedError):  # type: ignore[misc]
-    """A calibrator such as :class:`SplitConformal`, or bins, used before they are fitted."""
 
 
 class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
