@@ -18,7 +18,7 @@ from .coverage import CoverageCheck, check_coverage, coverage_band, grouped_cove
 from .novelty import NoveltyTest
 from .rank import conformal_quantile, conformal_rank, hierarchical_quantile
 from .regions import Regions
-from .scores import Aps, Density, Lac, Score, register_score
+from .scores import Aps, Density, Interval, Lac, ScaledDensity, Score, register_score
 
 if TYPE_CHECKING:
     from .calibrators.conditional import ConditionalConformal
@@ -46,9 +46,9 @@ __getattr__ = lazy_getattr(__name__, {name: module for module, names in _LATE.it
 
 __all__ = [
     "Aci", "Aps", "ConditionalConformal", "ConformalRegressor", "ConformodalError", "CoverageCheck",
-    "DataWarning", "Density", "Diagnosis", "Lac", "MondrianConformal", "NotCalibratedError",
+    "DataWarning", "Density", "Diagnosis", "Interval", "Lac", "MondrianConformal", "NotCalibratedError",
     "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
-    "Regions", "Score", "SplitConformal", "StackedDensity", "check_coverage", "conformal_quantile",
+    "Regions", "ScaledDensity", "Score", "SplitConformal", "StackedDensity", "check_coverage", "conformal_quantile",
     "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band",
     "hierarchical_quantile", "register_score",
 ]  # fmt: skip
