@@ -179,9 +179,10 @@ def main() -> None:
     hard.append(["least", *(f"{each:.3f}" for each in least)])
     notes = (
         f"alpha = {ALPHA}; {TRAIN} rows to learn from (half of smaller tables), at most {CAL} to calibrate and {TEST} "
-        f"new ones, drawn at random with seeds {seeds[0]} to {seeds[-1]}; settings were chosen on others. Scores are all "
-        f"of the same densities, but for the column `{OWN}`, in which rows lend kernels to themselves when bandwidths "
-        "are chosen. CP-DP (arXiv 2502.16658): nested unions of intervals around the shortest, by dynamic programming."
+        f"new ones, drawn at random with seeds {seeds[0]} to {seeds[-1]}; settings were chosen on others. All are "
+        f"scores of the same densities, but for the column `{OWN}`, in which rows lend kernels to themselves when "
+        "bandwidths are chosen. CP-DP (arXiv 2502.16658): nested unions of intervals around the shortest, by dynamic "
+        "programming."
     )
     write_page(
         "table_scores",

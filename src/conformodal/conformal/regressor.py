@@ -87,8 +87,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     alpha
         Miscoverage rate in (0, 1).
     conformity_score
-        ``"density"`` (shortest sets), ``"interval"`` (one interval), ``"lac"``, ``"aps"``, ``"hpd"``, a score object, or
-        ``"auto"``, which chooses among densities scaled by a power of their entropy (:class:`ScaledDensity`) and
+        ``"density"`` (shortest sets), ``"interval"`` (one interval), ``"lac"``, ``"aps"``, ``"hpd"``, a score object;
+        or ``"auto"``, which chooses among densities scaled by a power of their entropy (:class:`ScaledDensity`) and
         ``"interval"``, on training rows that the learner has not learnt from: that with the shortest sets of those that
         cover the rows with the widest distributions as often as others. For a learner of another package that predicts
         distributions, it is ``"density"``.

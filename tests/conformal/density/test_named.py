@@ -51,6 +51,17 @@ def test_it_integrates_to_one_wherever_it_is_asked(fitted):
         np.testing.assert_allclose(found.sum(axis=1), 1)
 
 
+def test_left_out_densities_are_as_likely_as_those_of_new_rows():
+    rng = np.random.default_rng(0)
+    X, y = rng.uniform(-1, 1, (2150, 3)), rng.standard_t(3, 2150).clip(-3, 3)
+    density = QuickDensity(random_state=0).fit_bins(X[:150], y[:150], EDGES)
+    proba, codes = density.left_out_
+    old = np.log(proba[np.arange(codes.size), codes])
+    new = density.predict_proba(X[150:])
+    new = np.log(new[np.arange(2000), np.searchsorted(EDGES, y[150:]) - 1])
+    assert old.mean() < new.mean() + 2 * old.std() / np.sqrt(old.size)
+
+
 @pytest.mark.slow
 def test_weights_of_zero_leave_rows_out_and_a_common_factor_means_nothing():
     X, y = two_branches(120, 5)
