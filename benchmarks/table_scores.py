@@ -21,7 +21,7 @@ from conformodal.conformal import ConformalRegressor, QuantileBins, SplitConform
 from conformodal.conformal.density import mixture
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 
-SEEDS = tuple(range(40, 50))  # settings were chosen on 10 to 29
+SEEDS = (40, 41, 42)  # settings were chosen on 10 to 29
 ALPHA, TRAIN, CAL, TEST = 0.1, 800, 400, 1000
 MASSES = 100  # units of probability in the dynamic programme
 _ROWS = 100  # of the dynamic programme at once
@@ -133,9 +133,8 @@ def measured(name: str, seed: int) -> dict[str, dict[str, Any]]:
         proba = {part: reg.predict_bins(X[part]) for part in ("cal", "test")}
         scores: dict[str, Any] = {OWN: "density"}
         if fit == CHOSEN:
-            kinds = [VolumeOptimal(1), VolumeOptimal(2)]
             scores = {DENSITY: "density", CHOSEN: reg.calibrator_.score, "interval": "interval", "hpd": "hpd"}
-            scores |= {kind.name: kind for kind in kinds}
+            scores |= {(optimal := VolumeOptimal(2)).name: optimal}
         for kind, score in scores.items():
             bins: QuantileBins = reg.bins_
             regions = SplitConformal(bins, ALPHA, score).calibrate(proba["cal"], y["cal"]).predict(proba["test"])

@@ -16,7 +16,7 @@ from .scores import Density, Interval, ScaledDensity, Score, relative_entropy
 # of one target: probabilities (m, K) of rows by densities that have not learnt from them, and the bins of their values
 LeftOut: TypeAlias = tuple[RealArray, IntArray]
 
-_POWERS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+_POWERS = (0.0, 0.25, 0.5, 0.75, 1.0)
 # the quarter of rows with the widest distributions must miss at most this times alpha
 _MOST_MISSED = 0.9
 # sets that are longer by this factor are as long: one interval is then easier to read
@@ -34,12 +34,12 @@ class _Judged(NamedTuple):
 
 
 def choose_score(left_out: Sequence[LeftOut], widths: Sequence[FloatArray], alpha: Alpha) -> Score:
-    """The score that gives the smallest sets of those that cover the rows with the widest distributions.
+    """A density scaled by a power of its entropy, or one interval where its sets are no longer.
 
-    They are densities scaled by powers of the entropy, and one interval. One interval is taken where it is no longer
-    than the others by more than 1 %. If no score covers the rows with the widest distributions, it is the one that
-    covers most of them. `left_out` and the `widths` of the bins are of the targets, among which sizes and coverages are
-    averaged. The choice depends on training rows alone, so that calibration is as valid as with any fixed score.
+    The power is that with the smallest sets of those that cover the rows with the widest distributions; if none does,
+    that which covers most of them. One interval is taken where its sets are longer by 1 % at most. `left_out` and the
+    `widths` of the bins are of the targets, over which sizes and coverages are averaged. The choice depends on training
+    rows alone, so that calibration is as valid as with any fixed score.
     """
     if min(len(codes) for _, codes in left_out) < _FEWEST_ROWS:
         return Density()
@@ -49,8 +49,7 @@ def choose_score(left_out: Sequence[LeftOut], widths: Sequence[FloatArray], alph
     enough = [one for one in scaled if one.covered >= needed] or [max(scaled, key=lambda one: one.covered)]
     best = min(enough, key=lambda one: one.log_size)
     interval = _judge(Interval(), some, widths, alpha)
-    as_good = interval.covered >= min(needed, best.covered)
-    return interval.score if as_good and interval.log_size <= best.log_size + np.log(_AS_LONG) else best.score
+    return interval.score if interval.log_size <= best.log_size + np.log(_AS_LONG) else best.score
 
 
 def _judge(score: Score, left_out: list[LeftOut], widths: Sequence[FloatArray], alpha: Alpha) -> _Judged:

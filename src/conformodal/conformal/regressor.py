@@ -88,9 +88,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         Miscoverage rate in (0, 1).
     conformity_score
         ``"density"`` (shortest sets), ``"interval"`` (one interval), ``"lac"``, ``"aps"``, ``"hpd"``, a score object;
-        or ``"auto"``, which chooses among densities scaled by a power of their entropy (:class:`ScaledDensity`) and
-        ``"interval"``, on training rows that the learner has not learnt from: that with the shortest sets of those that
-        cover the rows with the widest distributions as often as others. For a learner of another package that predicts
+        or ``"auto"``, which chooses on training rows that the learner has not learnt from: a density scaled by a power
+        of its entropy (:class:`ScaledDensity`), so that the rows with the widest distributions are covered nearly as
+        often as others, or ``"interval"`` where its sets are no longer. For a learner of another package that predicts
         distributions, it is ``"density"``.
     joint
         ``"none"``, ``"bonferroni"`` or ``"max"``; see :class:`~conformodal.conformal.SplitConformal`. With ``"max"``

@@ -75,7 +75,7 @@ class ScaledDensity(Density):
     The exponential of the entropy is the length of a uniform distribution as wide as the row's. With a `power` of 0,
     one level of the density holds for all rows, as of :class:`Density`: sets are shortest on average, but rows of wide
     distributions are covered less often than others. With 1, levels fall as distributions widen, so that rows of one
-    shape and any width are covered alike. Powers above 1 correct distributions that are too narrow where they are wide.
+    shape and any width are covered alike.
 
     Examples
     --------

@@ -170,6 +170,15 @@ def test_whole_weights_of_the_smooth_member_equal_repetitions():
     )
 
 
+@pytest.mark.parametrize("n", [1, 255, 600])
+def test_the_process_predicts_as_that_of_scikit_learn(n):
+    X, y = two_branches(300, 4)
+    process = SubsetProcess(ConstantKernel(2.0) * Matern([0.5, 3.0], nu=1.5), 1e-4, 0).fit(X, y)
+    at = np.concatenate((X, two_branches(300, 5)[0]))[-n:]
+    scaled = np.clip((at - process.center_) / process.spread_, -6, 6)
+    np.testing.assert_allclose(process.predict(at), process.process_.predict(scaled) + process.mean_, atol=1e-9)
+
+
 @pytest.mark.parametrize("n_columns", [1, 45])
 def test_the_search_for_a_kernel_does_not_end_where_all_is_noise(n_columns):
     rng = np.random.default_rng(0)
