@@ -90,7 +90,7 @@ class ScaledDensity(Density):
     def __init__(self, power: float) -> None:
         check_number(power, "power", Range(0))
         self.power = power
-        self.name = f"density, scaled by power {power:g}"
+        self.name = f"scaled density ({power:g})"
 
     def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """``-proba / widths * exp(power * entropy)``, the entropy relative to that of a uniform one over all bins."""
