@@ -177,6 +177,7 @@ def test_the_process_predicts_as_that_of_scikit_learn(n):
     at = np.concatenate((X, two_branches(300, 5)[0]))[-n:]
     scaled = np.clip((at - process.center_) / process.spread_, -6, 6)
     np.testing.assert_allclose(process.predict(at), process.process_.predict(scaled) + process.mean_, atol=1e-9)
+    np.testing.assert_array_equal(process.predict(at[:1]), process.predict(at)[:1])
 
 
 @pytest.mark.parametrize("n_columns", [1, 45])
