@@ -40,6 +40,7 @@ UNITS = {
     "joint": Unit("joint.py", 4),
     "conditional": Unit("conditional.py", 2),
     "smooth_member": Unit("smooth_member.py", 5),
+    "table_scores": Unit("table_scores.py", 10),
     "table_warnings": Unit("table_warnings.py", 8),
     "camera_input": Unit("camera_input.py", 5),
     "peers": Unit("peers/run.py --measure", 35, 2),

@@ -3,6 +3,7 @@ import pytest
 from scipy import stats
 
 from conformodal.conformal import QuantileBins, SplitConformal, check_coverage, conformal_rank, coverage_band
+from conformodal.conformal.choice import choose_score
 
 
 def test_short_calibration_gives_unbounded_regions(problem):
@@ -136,3 +137,27 @@ def test_coverage_follows_its_exact_law(name):
 def test_an_error_of_one_in_the_rank_does_not(name, shift):
     bins, rows, draw, n, alpha, law = CASES[name]
     assert p_value(split_counts(bins, rows, draw, n, alpha, shift), law) < 1e-4
+
+
+def chosen_counts(n, alpha, shift):
+    """Covered of M test values for each of SPLITS splits, in which training rows choose the score."""
+    rng, bins, counts, names = np.random.default_rng(13), equal(40), np.empty(SPLITS, dtype=int), set()
+    for i in range(SPLITS):
+        # values follow the probabilities of their rows, but those of wide rows are too narrow
+        y = rng.beta(*np.exp(rng.normal(1, 1, (2, 120 + n + M))))
+        proba = random_rows(40)(rng, y.size) + np.exp(-(((np.arange(40) + 0.5) / 40 - y[:, None]) ** 2) / 0.02)
+        proba /= proba.sum(axis=1, keepdims=True)
+        score = choose_score([(proba[:120], bins.encode(y[:120])[:, 0])], bins.widths, alpha)
+        names.add(score.name)
+        cal = SplitConformal(bins, alpha, score).calibrate(proba[120 : 120 + n], y[120 : 120 + n])
+        if shift:
+            cal.thresholds_ = np.sort(cal.scores_, axis=0)[cal.rank + shift - 1]
+        counts[i] = cal.predict(proba[120 + n :]).contains(y[120 + n :]).sum()
+    return counts, names
+
+
+def test_coverage_follows_the_same_law_where_training_rows_choose_the_score():
+    counts, names = chosen_counts(29, 0.2, 0)
+    assert len(names) >= 3
+    assert p_value(counts, beta_binomial(29, 0.2)) > 0.001
+    assert p_value(chosen_counts(29, 0.2, -1)[0], beta_binomial(29, 0.2)) < 1e-4

@@ -18,7 +18,7 @@ from .coverage import CoverageCheck, check_coverage, coverage_band, grouped_cove
 from .novelty import NoveltyTest
 from .rank import conformal_quantile, conformal_rank, hierarchical_quantile
 from .regions import Regions
-from .scores import Aps, Density, Lac, Score, register_score
+from .scores import Aps, Density, Interval, Lac, ScaledDensity, Score, register_score
 
 if TYPE_CHECKING:
     from .calibrators.conditional import ConditionalConformal
@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from .density.named import QuickDensity, StackedDensity
     from .diagnosis import Diagnosis, diagnose
     from .doubts import DataWarning
+    from .errors import NotCalibratedError
     from .predictive import PredictiveDensity
-    from .regressor import ConformalRegressor, NotCalibratedError
+    from .regressor import ConformalRegressor
 
 _LATE = {  # a camera needs none of these, and scikit-learn takes half a second to import
     ".calibrators.conditional": ("ConditionalConformal",),
@@ -37,16 +38,17 @@ _LATE = {  # a camera needs none of these, and scikit-learn takes half a second 
     ".density.named": ("QuickDensity", "StackedDensity"),
     ".diagnosis": ("Diagnosis", "diagnose"),
     ".doubts": ("DataWarning",),
+    ".errors": ("NotCalibratedError",),
     ".predictive": ("PredictiveDensity",),
-    ".regressor": ("ConformalRegressor", "NotCalibratedError"),
+    ".regressor": ("ConformalRegressor",),
 }
 __getattr__ = lazy_getattr(__name__, {name: module for module, names in _LATE.items() for name in names})
 
 __all__ = [
     "Aci", "Aps", "ConditionalConformal", "ConformalRegressor", "ConformodalError", "CoverageCheck",
-    "DataWarning", "Density", "Diagnosis", "Lac", "MondrianConformal", "NotCalibratedError",
+    "DataWarning", "Density", "Diagnosis", "Interval", "Lac", "MondrianConformal", "NotCalibratedError",
     "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
-    "Regions", "Score", "SplitConformal", "StackedDensity", "check_coverage", "conformal_quantile",
+    "Regions", "ScaledDensity", "Score", "SplitConformal", "StackedDensity", "check_coverage", "conformal_quantile",
     "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band",
     "hierarchical_quantile", "register_score",
 ]  # fmt: skip

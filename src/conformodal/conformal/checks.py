@@ -34,7 +34,7 @@ class ConformodalTypeError(ConformodalError, TypeError):
 
 def not_calibrated(message: str) -> ConformodalError:
     """A ``NotCalibratedError``, to be raised."""
-    from .regressor import NotCalibratedError  # noqa: PLC0415 - scikit-learn takes half a second to import
+    from .errors import NotCalibratedError  # noqa: PLC0415 - scikit-learn takes half a second to import
 
     return NotCalibratedError(message)
 

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import issparse
 from sklearn.base import BaseEstimator, RegressorMixin
-from sklearn.exceptions import NotFittedError
 from sklearn.frozen import FrozenEstimator
 from sklearn.utils import check_random_state, get_tags
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -43,8 +42,9 @@ from .checks import (
     factorise,
     not_calibrated,
 )
+from .choice import choose_score
 from .density.encoder import is_frame, named_targets, numpy_columns, rows_of
-from .density.learners import as_learner, fit_target, predict_proba, split_off, split_units
+from .density.learners import FittedTarget, as_learner, fit_target, predict_proba, split_off, split_units
 from .density.mixture import as_sample_weight
 from .diagnosis import Diagnosis, diagnose
 from .doubts import DataWarning, TableMemory, Unlike, doubt_rows, doubt_seen
@@ -63,10 +63,7 @@ _CALIBRATION_SIZE = Range(0, 1, "[)")
 # With few calibration samples, one beyond that would make all regions unbounded: bins reach as far again as the range.
 _TAIL, _FEW_TO_CALIBRATE = 1.0, 100
 _BINS_OF_DENSITY, _BINS_OF_CLASSIFIER = 200, 50
-
-
-class NotCalibratedError(ConformodalError, NotFittedError):  # type: ignore[misc]
-    """A calibrator such as :class:`SplitConformal`, or bins, used before they are fitted."""
+_CHOSEN = "auto"  # a score by training rows
 
 
 class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -90,7 +87,11 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     alpha
         Miscoverage rate in (0, 1).
     conformity_score
-        ``"density"`` (shortest sets), ``"lac"``, ``"aps"``, ``"hpd"``, or a score object.
+        ``"density"`` (shortest sets), ``"interval"`` (one interval), ``"lac"``, ``"aps"``, ``"hpd"``, a score object;
+        or ``"auto"``, which chooses on training rows that the learner has not learnt from: a density scaled by a power
+        of its entropy (:class:`ScaledDensity`), so that the rows with the widest distributions are covered nearly as
+        often as others, or ``"interval"`` where its sets are no longer. For a learner of another package that predicts
+        distributions, it is ``"density"``.
     joint
         ``"none"``, ``"bonferroni"`` or ``"max"``; see :class:`~conformodal.conformal.SplitConformal`. With ``"max"``
         every density is fitted twice: the targets' scores are scaled by rows that one of the fits has not seen.
@@ -138,7 +139,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         estimator: Any = None,
         n_bins: int | None = None,
         alpha: Alpha = 0.1,
-        conformity_score: str | Score = "density",
+        conformity_score: str | Score = _CHOSEN,
         joint: Joint = "none",
         calibration_size: float = 0.2,
         random_state: Any = None,
@@ -228,17 +229,14 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.bins_.names = names
         self.memory_ = TableMemory().learn(features)
         self.calibrator_: Any = self._calibrator(labels is not None)
-        unseen, learnt = self.joint == "max", rows_of(features, training)
-        self.estimators_, out_of_fold = [], []
-        for j, edges in enumerate(self.bins_.edges_):
-            share = None if weight is None else weight[training]
-            model, proba = fit_target(base, dense, learnt, values[training, j], edges, share, unseen)
-            self.estimators_.append(model)
-            out_of_fold.append(proba)
-        if unseen:
-            scored: list[Any] = [proba for proba in out_of_fold if proba is not None]
-            scored = scored or self.proba_of(learnt)  # too few rows to leave any out
-            self.calibrator_.fit_scale(scored, values[training[: len(scored[0])]])
+        learnt = rows_of(features, training)
+        share = None if weight is None else weight[training]
+        fits = [
+            fit_target(base, dense, learnt, values[training, j], edges, share, self.joint == "max")
+            for j, edges in enumerate(self.bins_.edges_)
+        ]
+        self.estimators_ = [fit.model for fit in fits]
+        self._tune(fits, learnt, values[training])
         if held_out.size:
             of_groups, of_units = (None if of is None else of[held_out] for of in (labels, members))
             self._calibrate(rows_of(features, held_out), values[held_out], of_groups, of_units)
@@ -368,7 +366,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def _calibrator(self, grouped: bool) -> Any:
         kind = MondrianConformal if grouped else SplitConformal
-        calibrator = kind(self.bins_, self.alpha, self.conformity_score, self.joint)
+        score = "density" if self.conformity_score == _CHOSEN else self.conformity_score
+        calibrator = kind(self.bins_, self.alpha, score, self.joint)
         calibrator.check_parameters()
         return calibrator
 
@@ -413,6 +412,16 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         needed = isinstance(self.calibrator_, MondrianConformal)
         if needed != (groups is not None):
             raise ConformodalError(f"groups {'are needed, as fit had them' if needed else 'must be None, as in fit'}")
+
+    def _tune(self, fits: list[FittedTarget], X: Any, y: FloatArray) -> None:
+        """Choose the score, and scale those of several targets, by training rows `X` with values `y` (n, d)."""
+        left_out = [fit.left_out for fit in fits if fit.left_out is not None]
+        if self.conformity_score == _CHOSEN and left_out:
+            self.calibrator_.score = choose_score(left_out, self.bins_.widths, self.calibrator_.alpha_per_target)
+        if self.joint == "max":
+            scored: list[Any] = [fit.first for fit in fits if fit.first is not None]
+            scored = scored or self.proba_of(X)  # too few rows to leave any out
+            self.calibrator_.fit_scale(scored, y[: len(scored[0])])
 
     def _labels(self, groups: npt.ArrayLike | None, n: int) -> AnyArray | None:
         """Labels (n,) of the samples' groups; None without groups."""

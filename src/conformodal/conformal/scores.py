@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
+from scipy.special import entr
 
 from conformodal.core.arrays import FloatArray, IntArray, RealArray
 from conformodal.core.errors import ConformodalError
@@ -66,6 +67,67 @@ class Density:
         """``-proba / widths``."""
         least = 2 / float(np.finfo(proba.dtype).max)  # narrower bins have a large density, but not an infinite one
         return np.asarray(proba * -(1 / np.maximum(widths, least)).astype(proba.dtype))
+
+
+class ScaledDensity(Density):
+    """Minus the density, times the exponential of a multiple of its differential entropy.
+
+    The exponential of the entropy is the length of a uniform distribution as wide as the row's. With a `power` of 0,
+    one level of the density holds for all rows, as of :class:`Density`: sets are shortest on average, but rows of wide
+    distributions are covered less often than others. With 1, levels fall as distributions widen, so that rows of one
+    shape and any width are covered alike.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import ScaledDensity
+    >>> proba, widths = np.array([[0.5, 0.5, 0, 0], [0.25, 0.25, 0.25, 0.25]]), np.ones(4)
+    >>> ScaledDensity(1).of_bins(proba, widths)  # half as dense over twice the length
+    array([[-0.25, -0.25, -0.  , -0.  ],
+           [-0.25, -0.25, -0.25, -0.25]])
+    """
+
+    def __init__(self, power: float) -> None:
+        check_number(power, "power", Range(0))
+        self.power = power
+        self.name = f"scaled density ({power:g})"
+
+    def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
+        """``-proba / widths * exp(power * entropy)``, the entropy relative to that of a uniform one over all bins."""
+        scale = np.exp(self.power * relative_entropy(proba, widths))
+        return np.asarray(super().of_bins(proba, widths) * scale[:, None].astype(proba.dtype))
+
+
+def relative_entropy(proba: RealArray, widths: FloatArray) -> FloatArray:
+    """Differential entropies (n,) of rows, less that of the uniform distribution over all bins: 0 or less."""
+    shares = widths / widths.max()
+    shares = shares / shares.sum()
+    return np.asarray(entr(proba).sum(axis=1) + proba @ np.log(shares), dtype=np.float64)
+
+
+class Interval:
+    """Distance from the mean in standard deviations: sets are single intervals around the mean.
+
+    Source: normalised residuals (Papadopoulos, Gammerman and Vovk 2008), of the row's own distribution.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from conformodal.conformal import Interval
+    >>> Interval().of_bins(np.array([[0.5, 0, 0.5]]), np.ones(3)).round(2)
+    array([[0.96, 0.  , 0.96]])
+    """
+
+    name = "interval"
+
+    def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
+        """``|center - mean| / sd``, with distributions constant within bins."""
+        shares = widths / widths.max()  # whose squares do not overflow
+        centers = np.cumsum(shares) - shares / 2
+        away = centers - (proba @ centers)[:, None]
+        variance = (proba * away**2).sum(axis=1) + proba @ (shares**2 / 12)
+        least = np.finfo(np.float64).tiny
+        return np.asarray(np.abs(away) / np.sqrt(np.maximum(variance, least))[:, None], dtype=proba.dtype)
 
 
 Order = Literal["probability", "density"]
@@ -136,7 +198,7 @@ def row_uniforms(rows: RealArray) -> FloatArray:
 
 BUILT_IN = (Lac, Density, Aps)
 SCORES: dict[str, Score] = {
-    score.name: score for score in (Lac(), Density(), Aps(), Aps("density"), Aps("density", 0.5))
+    score.name: score for score in (Lac(), Density(), Interval(), Aps(), Aps("density"), Aps("density", 0.5))
 }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -13,14 +13,36 @@ from conformodal.core.extras import require_extra
 
 from .checks import Alpha, BinProbabilities, blocks, brief
 from .density.encoder import is_time, numpy_columns
+from .doubts import TableMemory
 from .predictive import PredictiveDensity
 from .regions import Regions
 
-if TYPE_CHECKING:
-    from .regressor import ConformalRegressor
+
+class TableRegressor(Protocol):
+    """What is asked of a fitted :class:`~conformodal.conformal.ConformalRegressor`, which calls this module."""
+
+    columns_: list[str]
+    group_column_: Any
+    memory_: TableMemory
+
+    def compare_rows(self, features: Any) -> BoolArray:
+        """Whether the set of each row is unbounded, (n,); warns of unlike rows."""
+        ...
+
+    def warn_without_group(self, groups: Any) -> None:
+        """Warn of rows without a label."""
+        ...
+
+    def proba_of(self, features: Any) -> BinProbabilities:
+        """Probabilities of the bins."""
+        ...
+
+    def regions_of(self, proba: BinProbabilities, unlike: BoolArray, alpha: Alpha | None, groups: Any) -> Regions:
+        """Regions of rows with these probabilities."""
+        ...
 
 
-def input_columns(reg: ConformalRegressor, names: list[str]) -> list[str]:
+def input_columns(reg: TableRegressor, names: list[str]) -> list[str]:
     """The columns of a table with these names that a regressor reads, in its order; missing ones are refused."""
     if not reg.columns_:
         raise ConformodalError("tables are read by the names of their columns: fit on a frame, not on an array")
@@ -30,7 +52,7 @@ def input_columns(reg: ConformalRegressor, names: list[str]) -> list[str]:
     return needed
 
 
-def as_inputs(reg: ConformalRegressor, table: Any) -> Any:
+def as_inputs(reg: TableRegressor, table: Any) -> Any:
     """The columns of a table of pandas, polars or Arrow that a regressor reads, as a frame of pandas.
 
     Text in a column that held dates is read as dates if the year comes first.
@@ -56,7 +78,7 @@ def as_inputs(reg: ConformalRegressor, table: Any) -> Any:
     return frame
 
 
-def region_table(reg: ConformalRegressor, table: Any, alpha: Alpha | None) -> Any:
+def region_table(reg: TableRegressor, table: Any, alpha: Alpha | None) -> Any:
     """See :meth:`ConformalRegressor.predict_table`; rows are answered in blocks, so that memory stays bounded."""
     with require_extra("table", "predict_table"):
         import pyarrow as pa  # noqa: PLC0415 - an extra
@@ -77,7 +99,7 @@ def region_table(reg: ConformalRegressor, table: Any, alpha: Alpha | None) -> An
     return result if hasattr(table, "column_names") else type(table)(result)  # of Arrow, of polars
 
 
-def _arrow_table(reg: ConformalRegressor, proba: BinProbabilities, regions: Regions) -> Any:
+def _arrow_table(reg: TableRegressor, proba: BinProbabilities, regions: Regions) -> Any:
     """An Arrow table: of each target the mean, the ends of the set and its intervals with their probabilities."""
     import pyarrow as pa  # noqa: PLC0415 - an extra
 

@@ -51,6 +51,17 @@ def test_it_integrates_to_one_wherever_it_is_asked(fitted):
         np.testing.assert_allclose(found.sum(axis=1), 1)
 
 
+def test_left_out_densities_are_as_likely_as_those_of_new_rows():
+    rng = np.random.default_rng(0)
+    X, y = rng.uniform(-1, 1, (2150, 3)), rng.standard_t(3, 2150).clip(-3, 3)
+    density = QuickDensity(random_state=0).fit_bins(X[:150], y[:150], EDGES)
+    proba, codes = density.left_out_
+    old = np.log(proba[np.arange(codes.size), codes])
+    new = density.predict_proba(X[150:])
+    new = np.log(new[np.arange(2000), np.searchsorted(EDGES, y[150:]) - 1])
+    assert old.mean() < new.mean() + 2 * old.std() / np.sqrt(old.size)
+
+
 @pytest.mark.slow
 def test_weights_of_zero_leave_rows_out_and_a_common_factor_means_nothing():
     X, y = two_branches(120, 5)
@@ -157,6 +168,16 @@ def test_whole_weights_of_the_smooth_member_equal_repetitions():
     np.testing.assert_allclose(
         one.predict(at), SubsetProcess(kernel, 0.2, 0).fit(X[times], y[times]).predict(at), atol=1e-6
     )
+
+
+@pytest.mark.parametrize("n", [1, 255, 600])
+def test_the_process_predicts_as_that_of_scikit_learn(n):
+    X, y = two_branches(300, 4)
+    process = SubsetProcess(ConstantKernel(2.0) * Matern([0.5, 3.0], nu=1.5), 1e-4, 0).fit(X, y)
+    at = np.concatenate((X, two_branches(300, 5)[0]))[-n:]
+    scaled = np.clip((at - process.center_) / process.spread_, -6, 6)
+    np.testing.assert_allclose(process.predict(at), process.process_.predict(scaled) + process.mean_, atol=1e-9)
+    np.testing.assert_array_equal(process.predict(at[:1]), process.predict(at)[:1])
 
 
 @pytest.mark.parametrize("n_columns", [1, 45])

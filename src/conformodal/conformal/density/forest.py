@@ -78,7 +78,9 @@ class LeafForest:
 
     def weights(self, leaves: IntArray) -> list[FloatArray]:
         """Weights (n, G) of the groups in `leaves`, one array per grouping; rows sum to one."""
-        query = self._query(leaves, np.ones(leaves.shape, dtype=np.bool_))
+        n, n_trees = leaves.shape
+        share, ends = np.full(leaves.size, 1 / n_trees), np.arange(0, leaves.size + 1, n_trees)
+        query = sparse.csr_array((share, leaves.ravel(), ends), (n, int(self._first[-1])))
         return [np.asarray((query @ table).toarray()) for table in self._tables]
 
     def _query(self, leaves: IntArray, counted: BoolArray) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from fractions import Fraction
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -13,6 +13,7 @@ from sklearn.base import clone
 
 from conformodal.conformal.bins import nearest_bins
 from conformodal.conformal.checks import as_doubles, brief
+from conformodal.conformal.choice import LeftOut
 from conformodal.core.arrays import AnyArray, FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.words import counted
@@ -84,10 +85,18 @@ def split_units(
     return random.permutation(np.flatnonzero(held)), random.permutation(np.flatnonzero(~held))
 
 
+class FittedTarget(NamedTuple):
+    """A learner fitted on one target, and predictions for training rows that it has not learnt from."""
+
+    model: Any
+    first: FloatArray | None  # probabilities of the first rows, if asked for and if there are enough rows
+    left_out: LeftOut | None  # of rows that cost no further fit, and the bins of their values
+
+
 def fit_target(
     base: Any, dense: bool, X: Any, y: FloatArray, edges: FloatArray, weight: FloatArray | None, out_of_fold: bool
-) -> tuple[Any, FloatArray | None]:
-    """Clones of the learner, fitted on one target, and out-of-fold probabilities of the first rows, or None.
+) -> FittedTarget:
+    """Clones of the learner, fitted on one target.
 
     A classifier is fitted five times without every fifth row, which tunes the smoothing; the five are averaged. A
     density is fitted on all rows, and for ``out_of_fold=True`` again without the first half. With fewer than 20 rows,
@@ -108,19 +117,22 @@ def fit_target(
     n, fold = len(y), np.arange(len(y)) % _FOLDS
     enough = n >= _FEWEST_TO_LEAVE_OUT
     if dense:
-        model, n_first = fitted(slice(None)), n // 2
-        if not (enough and out_of_fold):
-            return model, None
-        return model, predict_proba(fitted(slice(n_first, None)), rows_of(X, slice(n_first)))
+        model, first = fitted(slice(None)), None
+        left_out: LeftOut | None = vars(model).pop("left_out_", None)  # that files need not hold
+        if enough and out_of_fold:
+            first = predict_proba(fitted(slice(n // 2, None)), rows_of(X, slice(n // 2)))
+            left_out = left_out or (first, nearest_bins(y[: n // 2], edges))
+        return FittedTarget(model, first, left_out)
     smoothing = BinSmoothing(y, edges, weight)
     if not enough:
-        return SmoothedClassifier([fitted(slice(None))], smoothing), None
-    models, left_out = [], np.empty((n, edges.size - 1))
+        return FittedTarget(SmoothedClassifier([fitted(slice(None))], smoothing), None, None)
+    models, proba = [], np.empty((n, edges.size - 1))
     for k in range(_FOLDS):
         models.append(fitted(fold != k))
-        left_out[fold == k] = predict_proba(models[-1], rows_of(X, fold == k))
-    smoothing.tune(left_out, y, edges, weight)
-    return SmoothedClassifier(models, smoothing), smoothing(left_out)
+        proba[fold == k] = predict_proba(models[-1], rows_of(X, fold == k))
+    smoothing.tune(proba, y, edges, weight)
+    smoothed = smoothing(proba)
+    return FittedTarget(SmoothedClassifier(models, smoothing), smoothed, (smoothed, nearest_bins(y, edges)))
 
 
 def predict_proba(model: Any, X: Any) -> FloatArray:

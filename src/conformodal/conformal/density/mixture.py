@@ -115,36 +115,49 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
         """Choose every component's bandwidth, then the weights, by the likelihood of the `validation` rows (m,).
 
         `place` are location and spread (n,), out of fold; `groups` are of the values and of the scaled residuals;
-        `by_forest` are out-of-bag weights (m, G).
+        `by_forest` are out-of-bag weights (m, G). No row lends a kernel to itself: with its own, too narrow ones would
+        seem likely.
         """
         loc, spread = place
         scaled = (z - loc) / spread
         self._grid = _grid_of(scaled)
         self._pooled = [np.bincount(of, weight)[None] / weight.sum() for of, _ in groups]
+        others = [_without_own(of, weight, validation) for of, _ in groups]
         codes, widths, weight = nearest_bins(z[validation], self._z_edges), np.diff(self._z_edges), weight[validation]
         self._kernels: list[FloatArray] = []
-        likelihoods = []
-        for residual, weights in zip(_RESIDUAL, [*self._pooled, *by_forest], strict=True):
+        likelihoods, left_out = [], []
+        for residual, weights in zip(_RESIDUAL, [*others, *by_forest], strict=True):
             centers, sample, edges = (
                 (groups[1][1], scaled, self._grid) if residual else (groups[0][1], z, self._z_edges)
             )
             fits = []
             for factor in _FACTORS:
                 kernel = kernel_masses(centers, sample, edges, factor)
-                masses = np.broadcast_to(weights @ kernel, (validation.size, edges.size - 1))
+                masses = weights @ kernel
                 proba = self._shifted(masses, loc[validation], spread[validation]) if residual else masses
                 each = log_density(proba, codes, widths)
-                fits.append((float(np.average(each, weights=weight)), kernel, each))
-            _, kernel, each = max(fits, key=lambda fit: fit[0])
+                fits.append((float(np.average(each, weights=weight)), kernel, each, proba))
+            _, kernel, each, proba = max(fits, key=lambda fit: fit[0])
             self._kernels.append(kernel)
             likelihoods.append(each)
+            left_out.append(proba)
         mixed = np.maximum(mixture_weights(np.column_stack(likelihoods), weight), _MIN_WEIGHT)
         self.weights_ = mixed / mixed.sum()
+        total = sum(share * proba for share, proba in zip(self.weights_, left_out, strict=True))
+        self.left_out_ = np.asarray(total / np.sum(total, axis=1, keepdims=True)), codes
 
     def _shifted(self, masses: FloatArray, loc: FloatArray, spread: FloatArray) -> FloatArray:
         """Bin probabilities of values, from masses (n, M) of their scaled residuals."""
         rows = [slice(start, start + _ROWS_AT_ONCE) for start in range(0, loc.size, _ROWS_AT_ONCE)]
         return np.concatenate([shifted_masses(masses[r], self._grid, loc[r], spread[r], self._z_edges) for r in rows])
+
+
+def _without_own(groups: IntArray, weight: FloatArray, rows: IntArray) -> FloatArray:
+    """Weights (m, G) of the groups of values (n,) for some rows, as if each of these were not there."""
+    each: FloatArray = np.tile(np.bincount(groups, weight), (rows.size, 1))
+    each[np.arange(rows.size), groups[rows]] -= weight[rows]
+    total = weight.sum() - weight[rows]
+    return np.asarray(np.maximum(each, 0) / total[:, None])
 
 
 def log_spread(residual: FloatArray) -> FloatArray:

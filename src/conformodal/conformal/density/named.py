@@ -14,11 +14,12 @@ from sklearn.ensemble import BaggingRegressor, ExtraTreesRegressor, HistGradient
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
+from sklearn.metrics import euclidean_distances
 from sklearn.model_selection import KFold
 from sklearn.neural_network import MLPRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
-from sklearn.utils import check_random_state
+from sklearn.utils import check_random_state, gen_batches
 from threadpoolctl import threadpool_limits
 
 from conformodal.core.arrays import FloatArray, IntArray
@@ -39,6 +40,7 @@ _SMOOTH_ROWS, _KERNEL_ROWS, _KERNEL_STEPS = 1000, 300, 30
 # columns beyond which they share one length scale; standard deviations of the prior of its logarithm, and at which a
 # column is cut off; least weight in the location
 _MAX_LENGTHS, _PRIOR_SD, _REACH, _MIN_SHARE = 40, 2.0, 6.0, 0.05
+_KERNEL_BLOCK = 256  # rows whose kernel fits into a cache
 _JITTER = 1e-8  # least variance of noise, for a matrix that can be inverted
 # networks of the stack; gradient steps of each: rows times epochs, within limits
 _NETWORKS, _ROWS_SEEN = 3, 600_000
@@ -345,8 +347,18 @@ class SubsetProcess(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return self
 
     def predict(self, X: FloatArray) -> FloatArray:
-        """Means (n,)."""
-        return np.asarray(self.process_.predict(_standardised(X, self.center_, self.spread_)) + self.mean_)
+        """Means (n,), as of scikit-learn's process, which takes eight times as long over its kernel."""
+        features = _standardised(X, self.center_, self.spread_)
+        amplitude, matern = self.process_.kernel_.k1.constant_value, self.process_.kernel_.k2
+        per_length = np.sqrt(3) / matern.length_scale
+        known, asked = self.process_.X_train_ * per_length, np.zeros((_KERNEL_BLOCK, features.shape[1]))
+        squares, means = (known**2).sum(axis=1)[None], np.empty(len(features))
+        for rows in gen_batches(len(features), _KERNEL_BLOCK):
+            n = rows.stop - rows.start
+            asked[:n] = features[rows] * per_length  # always as many rows: products of other shapes round differently
+            away = euclidean_distances(asked, known, Y_norm_squared=squares)
+            means[rows] = (((1 + away) * np.exp(-away)) @ self.process_.alpha_)[:n]
+        return np.asarray(amplitude * means + self.mean_)
 
 
 class _AnisotropicProcess(RegressorMixin, BaseEstimator):  # type: ignore[misc]
