@@ -15,7 +15,7 @@ from conformodal.geometry import PinholeCamera, Trajectory, rigid_motions
 from conformodal.mapping import MapSettings
 
 CAMERA = PinholeCamera(260.0, 260.0, 159.5, 119.5, 320, 240)
-N_FRAMES = 30
+N_FRAMES = 24
 
 
 def sweep(x0: float) -> Trajectory:
@@ -48,7 +48,7 @@ def render(folder: Path, path: Trajectory, seed: int = 0) -> Path:
     return folder
 
 
-SETTINGS = MapSettings(max_features=800, neighbours=(1, 2, 3, 5), retrieved=3)
+SETTINGS = MapSettings(max_features=800, neighbours=(1, 2, 3, 4), retrieved=2)
 
 
 @pytest.fixture(scope="session")

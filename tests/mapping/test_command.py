@@ -13,6 +13,7 @@ from .conftest import N_FRAMES
 pytest.importorskip("pycolmap")
 
 
+@pytest.mark.slow
 def test_a_map_is_described_and_its_unit_said(clip, tmp_path):
     result = invoke("map", clip, "--out", tmp_path / "out", "--json", "--verbose")
     assert result.exit_code == 0, result.output
@@ -35,7 +36,7 @@ def test_a_map_that_is_not_to_be_trusted_has_exit_code_1(clip, elsewhere, tmp_pa
     result = invoke("map", clip, elsewhere, "--out", tmp_path / "out")
     assert result.exit_code == 1
     assert "map: not to be trusted" in result.stdout
-    assert f"1. {elsewhere} does not connect to the others" in result.stdout
+    assert " does not connect to the others" in result.stdout
     assert not (tmp_path / "out").exists()
 
 

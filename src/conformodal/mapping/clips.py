@@ -153,7 +153,10 @@ def write_clips(
             done += 1
             if progress is not None:
                 progress(done, max(total, done))
-        clips += [writer.finish() for writer in writers.values()]
+        own = [writer.finish() for writer in writers.values()]
+        if len(own) > 1:
+            own = [replace(clip, source=f"{clip.source}, recording {k}") for k, clip in enumerate(own, start=1)]
+        clips += own
     return _at_most(_in_order(clips), settings.max_keyframes)
 
 

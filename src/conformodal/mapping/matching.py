@@ -138,6 +138,8 @@ def image_descriptors(database: Path, names: Sequence[str], seed: int) -> Float3
     with opened(database) as handle:
         features = [_root(handle.read_descriptors(handle.read_image_with_name(name).image_id)) for name in names]
     every = np.concatenate(features)
+    if not len(every):
+        return np.zeros((len(names), 1), dtype=np.float32)
     sample = np.random.default_rng(seed).permutation(len(every))[:_WORD_SAMPLES]
     n_words = min(_WORDS, len(every))
     words = MiniBatchKMeans(n_words, random_state=seed, n_init=1, batch_size=4096).fit(every[sample])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,8 +29,12 @@ def write_recording(
     """Write cameras, poses, points and times beside the images, which lie in the folder already.
 
     `poses` are ``T_world_cam`` (4, 4) of all registered frames, in the map; they and the points are brought to the
-    world. Frames without a pose stay images that no pose is of.
+    world. Frames without a pose stay images that no pose is of; clips that do not connect are removed.
     """
+    for clip in clips:
+        if not any(image in poses for image in clip.images):
+            shutil.rmtree(folder / IMAGES / clip.name)
+    clips = [clip for clip in clips if (folder / IMAGES / clip.name).is_dir()]
     place = folder / MODEL
     place.mkdir(parents=True)
     model = require_pycolmap().Reconstruction(structure.model)
@@ -38,8 +43,8 @@ def write_recording(
     for name in _ONLY_NEW:  # which older programs do not read, and newer ones do not need
         (place / name).unlink(missing_ok=True)
     first_id = 1 + max(model.images)
-    others = [image for clip in clips for image in clip.images if image in poses and image not in structure.poses]
-    cameras = {clip.images[0].partition("/")[0]: _camera_id(structure, clip) for clip in clips}
+    others = [image for clip in clips for image in clip.images if image in poses and image not in structure.pieces[0]]
+    cameras = {clip.name: _camera_id(structure, clip) for clip in clips}
     with (place / "images.txt").open("a", encoding="utf-8") as file:
         for number, name in enumerate(others, start=first_id):
             back = np.linalg.inv(world_pose(poses[name], world))
@@ -79,10 +84,9 @@ def _sim3(world: World) -> Any:
 
 
 def _camera_id(structure: Structure, clip: Clip) -> int:
-    """The camera of a clip; any where none of its keyframes is in the map."""
-    mapped = [image for image in structure.model.images.values() if image.has_pose]
-    own = [image for image in mapped if image.name in set(clip.keyframe_images)]
-    return int((own or mapped)[0].camera_id)
+    """The camera of a clip of which keyframes are in the map."""
+    mapped = next(name for name in clip.keyframe_images if name in structure.pieces[0])
+    return int(structure.model.find_image_with_name(mapped).camera_id)
 
 
 def _write_lines(path: Path, lines: Sequence[str]) -> None:
