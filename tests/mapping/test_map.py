@@ -199,6 +199,25 @@ def test_a_length_that_cannot_be_is_refused_before_the_work(tmp_path, length, wh
 
 
 @pytest.mark.parametrize(
+    ("names", "why"),
+    [
+        (("000.png", "99.png"), "no frame is called 99.png, expected a name such as 000.png"),
+        (("000.png", "000"), "000 and 000.png are one image"),
+    ],
+)
+def test_names_that_are_wrong_are_refused_before_the_long_work(clip, tmp_path, names, why):
+    stages = set()
+    placement = Placement(KnownLength(*names, 1.0))
+    with pytest.raises(MapError, match=f"--known-length: {why}"):
+        build_map([clip], tmp_path / "out", placement=placement, report=lambda stage, *_: stages.add(stage))
+    assert stages == {"frames"}
+    (tmp_path / "positions.txt").write_text("000.png 0 0 0\n001.png 1 0 0\nthird.png 0 1 0\n")
+    with pytest.raises(MapError, match=r"positions\.txt: no frame is called third\.png"):
+        build_map([clip], tmp_path / "out", placement=Placement(positions_file=tmp_path / "positions.txt"))
+    assert [path.name for path in tmp_path.iterdir()] == ["positions.txt"]
+
+
+@pytest.mark.parametrize(
     ("lines", "why"),
     [
         (["a 0 0 0", "b 1 0 0"], "holds 2 positions, expected three or more"),

@@ -135,6 +135,7 @@ def build_map(
         work = part.parent / "work"
         work.mkdir()
         clips = write_clips(sources, part / IMAGES, settings, stage_of(report, "frames"))
+        placement.frames(clips)  # names that are wrong are refused before the long work
         made = _make(clips, part, work, settings, placement, report)
         result = MapReport(
             quality=made.quality,

@@ -75,6 +75,24 @@ class Placement:
         if self.positions_file is not None:
             read_positions(self.positions_file)
 
+    def frames(self, clips: Sequence[Clip]) -> dict[str, str]:
+        """Files of the frames that are named, by their names; refuses names that no frame has, or several."""
+        names: Sequence[str] = ()
+        if self.length is not None:
+            names = self.length[:2]
+        elif self.positions_file is not None:
+            names = list(read_positions(self.positions_file))
+        files = {name: frame_named(name, clips, self.source) for name in names}
+        if len(set(files.values())) < len(files):
+            first, second = next((a, b) for a in files for b in files if a < b and files[a] == files[b])
+            raise MapError(f"{self.source}: {first} and {second} are one image, expected each once")
+        return files
+
+    @property
+    def source(self) -> str:
+        """Where names come from, for messages."""
+        return "--known-length" if self.length is not None else str(self.positions_file)
+
 
 @dataclass(frozen=True, eq=False)
 class World:
@@ -146,34 +164,31 @@ def place_world(poses: Mapping[str, FloatArray], clips: Sequence[Clip], placemen
 
     `depth` is that at which the cameras usually see points of the map, for its own unit.
     """
+    files = placement.frames(clips)
+    named = {name: _position(poses, file, name, placement.source) for name, file in files.items()}
     if placement.positions_file is not None:
-        return _by_positions(poses, clips, placement.positions_file)
+        return _by_positions(named, placement.positions_file)
     turn = upright(np.array([pose[:3, :3] for pose in poses.values()]), placement.up)
     scale, unit = USUAL_DEPTH / depth, MAP_UNITS
     if placement.length is not None:
-        scale, unit = _scale_of(poses, clips, placement.length), METRES
+        scale, unit = _scale_of(named, poses, placement.length), METRES
     first = next(iter(poses.values()))[:3, 3]
     return World(Similarity(turn, -scale * turn @ first, scale), unit, np.zeros(0), "z up, by the cameras")
 
 
-def _scale_of(poses: Mapping[str, FloatArray], clips: Sequence[Clip], length: KnownLength) -> float:
-    what = "--known-length"
-    files = [frame_named(name, clips, what) for name in length[:2]]
-    if files[0] == files[1]:
-        raise MapError(f"{what}: needs two images, and {length.first} and {length.second} are one")
-    ends = [_position(poses, file, name, what) for file, name in zip(files, length[:2], strict=True)]
-    apart = float(np.linalg.norm(ends[1] - ends[0]))
+def _scale_of(named: Mapping[str, FloatArray], poses: Mapping[str, FloatArray], length: KnownLength) -> float:
+    """Metres per unit of the map, from positions (3,) of the two named frames."""
+    apart = float(np.linalg.norm(named[length.second] - named[length.first]))
     positions = np.array([pose[:3, 3] for pose in poses.values()])
     if apart <= _APART * float(np.ptp(positions, axis=0).max()):
-        raise MapError(f"{what}: the cameras of {length.first} and {length.second} are in one place")
+        raise MapError(f"--known-length: the cameras of {length.first} and {length.second} are in one place")
     return length.metres / apart
 
 
-def _by_positions(poses: Mapping[str, FloatArray], clips: Sequence[Clip], path: Path) -> World:
+def _by_positions(named: Mapping[str, FloatArray], path: Path) -> World:
+    """The world of a file of positions, from those (3,) of the named frames in the map."""
     given = read_positions(path)
-    files = {name: frame_named(name, clips, str(path)) for name in given}
-    inside = np.array([_position(poses, files[name], name, str(path)) for name in given])
-    outside = np.array(list(given.values()))
+    inside, outside = np.array([named[name] for name in given]), np.array(list(given.values()))
     _refuse_line(inside, f"{path}: in the map, its positions")
     similarity = umeyama(inside, outside, with_scale=True)
     residuals = np.linalg.norm(similarity.scale * inside @ similarity.R.T + similarity.t - outside, axis=1)
