@@ -42,6 +42,7 @@ UNITS = {
     "smooth_member": Unit("smooth_member.py", 5),
     "table_scores": Unit("table_scores.py", 10),
     "table_warnings": Unit("table_warnings.py", 8),
+    "map_from_video": Unit("map_from_video.py", 25, 2),
     "camera_input": Unit("camera_input.py", 5),
     "peers": Unit("peers/run.py --measure", 35, 2),
     "growth": Unit("growth.py", 20, 2),

@@ -20,6 +20,7 @@ from .console import Command, Group, report_errors
 COMMANDS = {
     "demo": "Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and "
     "motion.",
+    "map": "Map videos without poses: write a recording to train on, and say whether it is to be trusted.",
     "train": "Train on a data set with poses, calibrate, and save the model.",
     "run": "Compute regions and the trajectory of sources with a saved model, frame by frame.",
     "evaluate": "Compare results with true poses: errors of every path and frame, and coverage.",
@@ -27,7 +28,7 @@ COMMANDS = {
     "data": "Check or convert a data set.",
     "table": "Learn columns of a CSV file from the others (fit, the default), or write regions of new rows (predict).",
 }
-_EXTRAS = {"demo": "train", "train": "train", "table": "table"}  # the others need 'run'
+_EXTRAS = {"demo": "train", "train": "train", "table": "table", "map": "train"}  # the others need 'run'
 _HELP = "Every pose that an image may show, with a coverage guarantee; and the one that fits the motion."
 
 

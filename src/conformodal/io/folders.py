@@ -86,6 +86,14 @@ def locked(file: Path) -> Iterator[None]:
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
     """Write into a temporary folder beside a new or empty one, and move it into its place at the end."""
+    with scratch_beside(folder) as part:
+        yield part
+        part.replace(folder.resolve())  # which fails if another process has filled it
+
+
+@contextmanager
+def scratch_beside(folder: Path) -> Iterator[Path]:
+    """A temporary folder of the same name, alone in one beside a new or empty folder, which it may replace."""
     try:
         folder = folder.resolve()
         if folder.exists() and not folder.is_dir():
@@ -97,6 +105,5 @@ def staged(folder: Path) -> Iterator[Path]:
             part = Path(scratch) / folder.name
             part.mkdir()
             yield part
-            part.replace(folder)  # which fails if another process has filled it
     except OSError as exc:
         raise DatasetError(f"{folder}: cannot be written: {exc}") from exc

@@ -22,10 +22,10 @@ from .stale import repeated_poses
 
 _PAIRS, _STEPS, _MIN_MATCHES = 32, (1, 2, 4, 8), 200
 _FLOW_PX = 4.0
-_NEAR_PX = 2.0  # from the epipolar line
+NEAR_PX = 2.0  # from the epipolar line
 # Shares of the matches near their line. Poses by motion capture, fusion or rendering have 0.89 to 1.00 as they are,
 # 0.27 to 0.66 a tenth of a second late and 0.09 to 0.34 a second late (TUM fr1, 7-Scenes, ICL-NUIM).
-_FITS, _FITS_NOT, _BETTER, _EQUAL = 0.8, 0.5, 0.1, 0.02
+FITS, _FITS_NOT, _BETTER, _EQUAL = 0.8, 0.5, 0.1, 0.02
 # Of these, before both cameras: 0.93 to 1.00 where poses fit, 0.00 to 0.07 where images are mirrored.
 _PARALLAX_PX, _BEHIND, _MIN_SEEN = 3.0, 0.3, 100
 _PEAK = 0.25  # of a shift that fits above the usual one
@@ -50,7 +50,7 @@ class _Matches:
         return int(np.isfinite(self.pixels[..., 0, 0]).sum())
 
 
-class _Motions(NamedTuple):
+class Motions(NamedTuple):
     """``T_second_first`` of pairs; NaN where a frame has no pose."""
 
     rotations: FloatArray  # (..., p, 3, 3)
@@ -95,15 +95,15 @@ def diagnose_poses(recording: Recording) -> Cause | None:
     if matches is None or recording.poses is None or matches.n_matches < _MIN_MATCHES:
         return None
     camera = recording.camera
-    rays = _rays(on_plane(camera, matches.pixels.reshape(-1, 2)).reshape(matches.pixels.shape))
+    rays = as_rays(on_plane(camera, matches.pixels.reshape(-1, 2)).reshape(matches.pixels.shape))
     motions = _motions(recording.poses.poses_se3, matches)
     given = float(_shares_near(motions, rays, camera.fx))
     before = _share_before(motions, rays, camera.fx)
-    near = f"as read, {100 * given:.0f} % of the matched corners are within {_NEAR_PX:g} px of their epipolar line"
+    near = f"as read, {100 * given:.0f} % of the matched corners are within {NEAR_PX:g} px of their epipolar line"
     if given >= _FITS_NOT and before < _BEHIND:
         near += f", and {100 * (1 - before):.0f} % of these points lie behind the camera"
         return _told(_best_axes(recording.poses.poses_se3, matches, rays, camera), near)
-    if given < _FITS and (repeats := _parts_that_repeat(recording.poses)):
+    if given < FITS and (repeats := _parts_that_repeat(recording.poses)):
         return Cause(repeats, near, "give both of one rate, interpolated to the images' times")
     if _fit(given, before) > 1 - _BETTER:
         return None
@@ -111,12 +111,12 @@ def diagnose_poses(recording: Recording) -> Cause | None:
 
 
 def _explain(
-    truth: Trajectory, camera: PinholeCamera, matches: _Matches, rays: FloatArray, motions: _Motions, near: str
+    truth: Trajectory, camera: PinholeCamera, matches: _Matches, rays: FloatArray, motions: Motions, near: str
 ) -> Cause | None:
     """The best of changes of camera and poses, if it is better than none; `near` says how the poses fit as read."""
     given = _fit(float(_shares_near(motions, rays, camera.fx)), _share_before(motions, rays, camera.fx))
     changes = [_best_focal(camera, matches, motions), _best_axes(truth.poses_se3, matches, rays, camera)]
-    if max(given, *(change.fit for change in changes)) < _FITS:
+    if max(given, *(change.fit for change in changes)) < FITS:
         changes.append(_best_shift(truth, matches, rays, camera.fx))
     most = max(change.fit for change in changes)
     if most >= max(_FITS_NOT, given + _BETTER):
@@ -154,7 +154,7 @@ def _best_shift(truth: Trajectory, matches: _Matches, rays: FloatArray, focal_px
     asked = times[matches.frames].ravel()
     in_order = _Matches(np.arange(asked.size).reshape(-1, 2), matches.pixels)
 
-    def motions_at(shift_s: float) -> _Motions:
+    def motions_at(shift_s: float) -> Motions:
         rows = poses_at(truth, asked + shift_s, 5 * step).rows
         inside = np.isfinite(rows).all(axis=1)
         path = np.full((asked.size, 4, 4), np.nan)
@@ -179,10 +179,10 @@ def _best_shift(truth: Trajectory, matches: _Matches, rays: FloatArray, focal_px
     return _Change(share, what, "shift their times, or the lines of the file", before)
 
 
-def _best_focal(camera: PinholeCamera, matches: _Matches, motions: _Motions) -> _Change:
+def _best_focal(camera: PinholeCamera, matches: _Matches, motions: Motions) -> _Change:
     """The focal length that fits best, or the given one where that is hardly worse."""
     focals = _FOCALS * max(camera.width, camera.height)
-    centred = _rays(matches.pixels - (camera.cx, camera.cy))
+    centred = as_rays(matches.pixels - (camera.cx, camera.cy))
     shares = [float(_shares_near(motions, centred / [focal, focal, 1], focal)) for focal in focals.tolist()]
     low, high = focals[np.flatnonzero(np.array(shares) > max(shares) - _EQUAL)[[0, -1]]]
     what = f"the poses imply a focal length of {low:.0f} to {high:.0f} px where {camera.fx:.0f} px is given"
@@ -203,10 +203,10 @@ def _best_axes(poses_se3: FloatArray, matches: _Matches, rays: FloatArray, camer
     centre = np.array([camera.width - 1, camera.height - 1]) / 2
     views = [(rays, False)]
     if (np.abs((camera.cx, camera.cy) - centre) > _OFF_CENTRE * np.array([camera.width, camera.height])).any():
-        views.append((_rays((matches.pixels - centre) / (camera.fx, camera.fy)), True))
+        views.append((as_rays((matches.pixels - centre) / (camera.fx, camera.fy)), True))
     found, most = list[_Change](), 0.0
     for tier, worlds in ((readings[:2], still), (readings[2:], still), (readings[:2], turns)):
-        for view, in_middle in views if most < _FITS else []:
+        for view, in_middle in views if most < FITS else []:
             fitting = _fitting(tier, worlds, turns, matches, view, camera.fx, centred=in_middle)
             if max(change.fit for change in fitting) > most + _EQUAL:
                 found, most = fitting, max(change.fit for change in fitting)
@@ -334,38 +334,38 @@ def _match_later_frame(recording: Recording, frames: list[int]) -> _LaterFrame |
     return None
 
 
-def _rays(plane: FloatArray) -> FloatArray:
+def as_rays(plane: FloatArray) -> FloatArray:
     """Points (..., 2) of the plane at depth 1 as (..., 3)."""
     return np.concatenate((plane, np.ones((*plane.shape[:-1], 1))), axis=-1)
 
 
-def _motions(poses_se3: FloatArray, matches: _Matches, world: FloatArray | None = None) -> _Motions:
+def _motions(poses_se3: FloatArray, matches: _Matches, world: FloatArray | None = None) -> Motions:
     """Motions of pairs under the poses (n, 4, 4) of all frames, whose positions may be turned (3, 3)."""
     first, second = poses_se3[matches.frames.T]
     back = np.swapaxes(second[:, :3, :3], 1, 2)
     apart = first[:, :3, 3] - second[:, :3, 3]
     apart = apart if world is None else apart @ world.T
-    return _Motions(back @ first[:, :3, :3], (back @ apart[..., None])[..., 0])
+    return Motions(back @ first[:, :3, :3], (back @ apart[..., None])[..., 0])
 
 
-def _turned(motions: _Motions, turns: FloatArray) -> _Motions:
+def _turned(motions: Motions, turns: FloatArray) -> Motions:
     """Motions of cameras of turned axes (..., 3, 3): columns of a turn are the camera's axes in those given."""
     back = np.swapaxes(turns, -1, -2)
-    return _Motions(back @ motions.rotations @ turns, (back @ motions.translations[..., None])[..., 0])
+    return Motions(back @ motions.rotations @ turns, (back @ motions.translations[..., None])[..., 0])
 
 
-def _shares_near(motions: _Motions, rays: FloatArray, focal_px: float) -> FloatArray:
+def _shares_near(motions: Motions, rays: FloatArray, focal_px: float) -> FloatArray:
     """Shares (...) of the matches near their epipolar line; 0 where most of the pairs have no poses.
 
     `rays` (p, k, 2, 3) are the matches' in both frames.
     """
-    errors = _epipolar_px(motions, rays, focal_px)
+    errors = epipolar_px(motions, rays, focal_px)
     compared = np.isfinite(errors).sum(axis=(-1, -2))
-    near = (errors < _NEAR_PX).sum(axis=(-1, -2)) / np.maximum(compared, 1)
+    near = (errors < NEAR_PX).sum(axis=(-1, -2)) / np.maximum(compared, 1)
     return np.asarray(np.where(2 * compared > np.isfinite(rays[..., 0, 0]).sum(), near, 0.0))
 
 
-def _epipolar_px(motions: _Motions, rays: FloatArray, focal_px: float) -> FloatArray:
+def epipolar_px(motions: Motions, rays: FloatArray, focal_px: float) -> FloatArray:
     """Sampson distances (..., p, k), in pixels, of matches (p, k, 2, 3)."""
     E = cross_matrices(motions.translations) @ motions.rotations
     a, b = rays[:, :, 0], rays[:, :, 1]
@@ -380,9 +380,9 @@ def _epipolar_px(motions: _Motions, rays: FloatArray, focal_px: float) -> FloatA
     return np.asarray(errors)
 
 
-def _share_before(motions: _Motions, rays: FloatArray, focal_px: float) -> float:
+def _share_before(motions: Motions, rays: FloatArray, focal_px: float) -> float:
     """Share of the matches near their line, and with parallax, whose point lies before both cameras; NaN of few."""
-    near = _epipolar_px(motions, rays, focal_px) < _NEAR_PX
+    near = epipolar_px(motions, rays, focal_px) < NEAR_PX
     a = rays[:, :, 0] @ np.swapaxes(motions.rotations, -1, -2)
     b = rays[:, :, 1]
     across = np.cross(a, b)
