@@ -16,16 +16,17 @@ from conformodal.core.parallel import in_threads, raise_if_cancelled
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.features.backbone import Backbone
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.features.local import QualityRange
+from conformodal.features.local import LocalFeatures, QualityRange
 from conformodal.geometry import RelativeMotion
 from conformodal.io import Disturbance, Recording, SplitKind
+from conformodal.io.decoding import grey_image
+from conformodal.localizer.carrying import FrameStream, StreamFrame
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
 from conformodal.localizer.localizer import Beliefs, Localizer, belief_cells
 from conformodal.localizer.observations import MotionPrior, Observations, Posterior
 from conformodal.localizer.regions import EvidenceType, PlaceNovelty, RegionRules, part_of, pose_scores
 from conformodal.localizer.sources.registry import SourceData
-from conformodal.localizer.turning import TurnTracker
 from conformodal.tracking.motions import frame_features, turned_features
 
 from .config import ModelConfig, OdometryError
@@ -68,10 +69,10 @@ def calibrate_regions(
     for fold, localizer in pairs:
         _check_unseen(localizer, fold.held_out)
     local = all(localizer.local for localizer in localizers)
-    beliefs = [localizer.beliefs(_evidence(data, fold.held_out, local=local)) for fold, localizer in pairs]
-    if local and folds.units is not None and not data.detector.rotation_invariant:
-        look = partial(_look_turned, data, folds.units, motions)
-        beliefs = [look(fold.held_out, by, one) for (fold, by), one in zip(pairs, beliefs, strict=True)]
+    if local and folds.units is not None:
+        beliefs = [beliefs_of_streams(data, folds.units, motions, fold.held_out, by) for fold, by in pairs]
+    else:
+        beliefs = [by.beliefs(_evidence(data, fold.held_out, local=local)) for fold, by in pairs]
     known_p = np.ones(len(folds.held_out))
     if novelty is not None:
         novelty, known_p = _novelty_of_held_out(novelty, folds, data, beliefs if local else None)
@@ -101,29 +102,36 @@ def _evidence(data: SourceData, frames: IntArray, *, local: bool) -> FrameEviden
     return FrameEvidence(data.features[frames], data.local_features(frames) if local else ())
 
 
-def _look_turned(
+def beliefs_of_streams(
     data: SourceData,
     units: IntArray,
     motions: dict[int, RelativeMotion | None],
     held_out: IntArray,
     localizer: Localizer,
-    beliefs: Beliefs,
 ) -> Beliefs:
-    """The beliefs about held-out frames, each stretch looked at as a stream: images that are rolled are turned."""
-    turned: dict[int, Beliefs] = {}
-    for rows in rows_by_label(units[held_out]):
-        turns = TurnTracker(localizer)
-        for row in rows.tolist():
+    """The beliefs about held-out frames, each stretch looked at as a stream, see :class:`.carrying.FrameStream`."""
+
+    def of_stretch(rows: IntArray) -> list[Beliefs]:
+        stream, beliefs = FrameStream(localizer, data.sequence.camera, data.detector), []
+        for frame in held_out[rows].tolist():
             raise_if_cancelled()
-            frame, estimates = int(held_out[row]), beliefs.estimates[row]
-            turn = turns.next_turn(motions[frame])
-            if turn:
-                [upright] = data.local_features(np.array([frame]))
-                local = turned_features(data.sequence, frame, data.detector, turn, upright)
-                turned[row] = localizer.beliefs(FrameEvidence(data.features[frame : frame + 1], [local]))
-                [estimates] = turned[row].estimates
-            turns.observe(estimates)
-    return beliefs.replaced(turned)
+            [upright] = data.local_features(np.array([frame]))
+            grey, time_s = grey_image(data.sequence.image(frame)), float(data.sequence.timestamps_s[frame])
+
+            def detect(turn_rad: float, frame: int = frame, upright: LocalFeatures = upright) -> LocalFeatures:
+                if turn_rad == 0:
+                    return upright
+                return turned_features(data.sequence, frame, data.detector, turn_rad, upright)
+
+            look = stream.look(StreamFrame(grey, time_s, motions[frame], upright.flow), detect)
+            evidence = FrameEvidence(data.features[frame : frame + 1], [look.features], [look.estimates], look.busy)
+            beliefs.append(localizer.beliefs(evidence))
+            stream.observe(beliefs[-1].estimates[0])
+        return beliefs
+
+    stretches = rows_by_label(units[held_out])
+    in_order = [one for part in in_threads(of_stretch, stretches) for one in part]
+    return Beliefs.concatenate(in_order).part(np.argsort(np.concatenate(stretches)))
 
 
 def _out_of_range(localizer: Localizer, beliefs: Beliefs) -> BoolArray:
