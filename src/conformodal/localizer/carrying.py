@@ -82,8 +82,8 @@ class _Detection(NamedTuple):
 class FrameStream:
     """Decides, frame by frame, whether corners are detected or followed, and how far the image is turned before.
 
-    Unless it `follows` the stream: then each frame is looked at by itself, upright. Images whose quality is out of
-    range are calibrated one by one, so no corners are followed into them.
+    Unless it `follows` the stream, each frame is looked at by itself, upright; unless it `carries`, corners are detected
+    in each frame. Images whose quality is out of range are calibrated one by one: no corners are followed into them.
     """
 
     def __init__(
@@ -93,12 +93,13 @@ class FrameStream:
         detector: Detector,
         *,
         follows: bool = True,
+        carries: bool = True,
         quality: QualityRange | None = None,
         settings: CarrySettings | None = None,
     ) -> None:
         self._camera, self._quality, self._settings = camera, quality, settings or CarrySettings()
         self._turns = TurnTracker(localizer) if follows and not detector.rotation_invariant else None
-        self._source = localizer.carrying_source if follows else None
+        self._source = localizer.carrying_source if follows and carries else None
         self.reset()
 
     def reset(self) -> None:

@@ -70,12 +70,18 @@ def calibrate_regions(
         _check_unseen(localizer, fold.held_out)
     local = all(localizer.local for localizer in localizers)
     if local and folds.units is not None:
-        beliefs = [beliefs_of_streams(data, folds.units, motions, fold.held_out, by) for fold, by in pairs]
+        look = partial(beliefs_of_streams, data, folds.units, motions)
+        beliefs = [look(fold.held_out, by) for fold, by in pairs]
+        # where corners are followed, a place is as strongly recognised as when they were detected: the novelty test is
+        # calibrated on how strongly it is in frames in which they are
+        detected = beliefs
+        if any(by.carrying_source is not None for by in localizers):
+            detected = [look(fold.held_out, by, carries=False) for fold, by in pairs]
     else:
-        beliefs = [by.beliefs(_evidence(data, fold.held_out, local=local)) for fold, by in pairs]
+        beliefs = detected = [by.beliefs(_evidence(data, fold.held_out, local=local)) for fold, by in pairs]
     known_p = np.ones(len(folds.held_out))
     if novelty is not None:
-        novelty, known_p = _novelty_of_held_out(novelty, folds, data, beliefs if local else None)
+        novelty, known_p = _novelty_of_held_out(novelty, folds, data, detected if local else None)
     # of the evidence type of unknown places, as such images will be
     known_p = np.where(
         np.concatenate([_out_of_range(*pair) for pair in zip(localizers, beliefs, strict=True)]), 0, known_p
@@ -108,11 +114,13 @@ def beliefs_of_streams(
     motions: dict[int, RelativeMotion | None],
     held_out: IntArray,
     localizer: Localizer,
+    *,
+    carries: bool = True,
 ) -> Beliefs:
     """The beliefs about held-out frames, each stretch looked at as a stream, see :class:`.carrying.FrameStream`."""
 
     def of_stretch(rows: IntArray) -> list[Beliefs]:
-        stream, beliefs = FrameStream(localizer, data.sequence.camera, data.detector), []
+        stream, beliefs = FrameStream(localizer, data.sequence.camera, data.detector, carries=carries), []
         for frame in held_out[rows].tolist():
             raise_if_cancelled()
             [upright] = data.local_features(np.array([frame]))

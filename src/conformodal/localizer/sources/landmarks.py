@@ -131,14 +131,13 @@ class LandmarkSource:
     ) -> PoseMeasurement | None:
         """The estimate of an image into which corners of the one before were followed; see :class:`CarriesLandmarks`.
 
-        Its inliers are those that there would be had all corners been followed that agreed when they were detected.
+        Its place is as strongly recognised as when the corners were detected, but less probable, the fewer still agree.
         """
         one = self.map.carry(image, view)
         if one is None:
             return None
-        left = one.n_inliers / n_followed
-        n_inliers, share = round(left * detected.n_inliers), left * detected.inlier_share
-        one = replace(one, n_inliers=n_inliers, inlier_share=share)
+        share = detected.inlier_share * one.n_inliers / n_followed
+        one = replace(one, n_inliers=detected.n_inliers, image_share=detected.image_share, inlier_share=share)
         return self.errors.apply(one, *_support(one))
 
     def localize(self, image: LocalFeatures) -> list[PoseMeasurement]:
