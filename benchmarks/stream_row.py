@@ -17,6 +17,7 @@ import numpy as np  # noqa: E402
 
 from conformodal.features.backbone import Backbone  # noqa: E402
 from conformodal.io import read_image  # noqa: E402
+from conformodal.localizer import carrying  # noqa: E402
 from conformodal.localizer.filter import PoseFilter  # noqa: E402
 from conformodal.localizer.sources.landmarks import LandmarkSource  # noqa: E402
 from conformodal.localizer.sources.neighbours import NeighbourSource  # noqa: E402
@@ -26,7 +27,8 @@ from conformodal.pipeline.model import PoseModel  # noqa: E402
 from conformodal.tracking.tracker import MotionFrontEnd  # noqa: E402
 
 WARM = 10
-PARTS = ("network", "tracking and relative pose", "local features", "landmarks", "neighbours", "regions", "filter")
+PARTS = ("network", "tracking and relative pose", "local features", "carried corners", "landmarks", "neighbours")
+PARTS += ("regions", "filter")
 
 
 def answer(model: Path, images: list[str]) -> dict[str, Any]:
@@ -66,7 +68,9 @@ def time_parts(seconds: dict[str, float], calls: dict[str, int]) -> None:
         (Backbone, "features_of", "network"),
         (MotionFrontEnd, "measure", "tracking and relative pose"),
         (estimator, "extract_local_features", "local features"),
-        (LandmarkSource, "answer", "landmarks"),
+        (LandmarkSource, "localize", "landmarks"),
+        (LandmarkSource, "carry", "landmarks"),
+        (carrying, "follow_corners", "carried corners"),
         (NeighbourSource, "answer", "neighbours"),
         (PoseModel, "image_regions", "regions"),
         (PoseModel, "path_regions", "regions"),

@@ -69,7 +69,8 @@ def test_the_roll_is_followed_from_the_last_recognised_place_and_doubted_after_f
     tracker = TurnTracker(Localizer((Turner(np.array([0])),), bins, SIGN))
 
     def step(moved, estimates=()):
-        turn = np.degrees(tracker.next_turn(moved))
+        tracker.advance(moved)
+        turn = np.degrees(tracker.turn_rad)
         tracker.observe(estimates)
         return pytest.approx(turn, abs=1e-9)
 

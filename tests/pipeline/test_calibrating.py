@@ -7,6 +7,7 @@ from scipy.stats import norm
 
 from conformodal.conformal import QuantileBins
 from conformodal.features.extract import FeatureCache
+from conformodal.features.local import LocalFeatures
 from conformodal.io import SplitKind
 from conformodal.localizer.evidence import PoseMeasurement
 from conformodal.localizer.localizer import Beliefs
@@ -141,41 +142,43 @@ def test_frames_that_are_lost_do_not_calibrate_regions_from_posteriors(monkeypat
 
 
 class Rolled:
-    """Turns an image by a tenth of where the camera was, and recognises every turned image."""
+    """Turns an image by a tenth of where the camera was; upright, only the first frame of a stretch is recognised."""
+
+    carrying_source = None
 
     def turn_for(self, position_xyz, quat_wxyz):
         return 0.1 * position_xyz[0]
 
     def beliefs(self, evidence):
         [seen] = evidence.local_features
-        pose = PoseMeasurement(np.array([seen, 0, 0]), np.array([1.0, 0, 0, 0]), 0.1, 0.1, 50, 0.99)
-        return Beliefs([np.full((1, 2), seen)], [seen], [[pose]])
+        frame, turned = seen.quality.astype(int)
+        pose = PoseMeasurement(np.array([frame, 0, 0]), np.array([1.0, 0, 0, 0]), 0.1, 0.1, 50, 0.99)
+        recognised = turned or frame in (1, 5)
+        return Beliefs([np.full((1, 2), frame)], [("upright", "turned")[turned]], [[pose] if recognised else []])
 
 
 def test_held_out_stretches_are_looked_at_as_streams_and_rolled_images_turned(monkeypatch):
-    """Upright, only the first frame of each stretch is recognised."""
     turned = []
 
+    def features_of(frame, turned):
+        return LocalFeatures(np.zeros((0, 2)), np.zeros((0, 64), np.int8), np.zeros(0), np.array([frame, turned]))
+
     def turned_features(sequence, frame, detector, turn_rad, upright):
-        turned.append((frame, round(turn_rad, 3), upright))
-        return frame
+        turned.append((frame, round(turn_rad, 3), *upright.quality))
+        return features_of(frame, 1)
 
     monkeypatch.setattr(calibrating, "turned_features", turned_features)
+    grey = np.zeros((4, 4), np.uint8)
     data = SimpleNamespace(
-        local_features=lambda frames: [f"upright {frames[0]}"], sequence=None, detector=None, features=np.zeros((8, 1))
+        local_features=lambda frames: [features_of(frames[0], 0)],
+        sequence=SimpleNamespace(camera=None, image=lambda i: grey, timestamps_s=np.arange(8.0)),
+        detector=SimpleNamespace(rotation_invariant=False),
+        features=np.zeros((8, 1)),
     )
-    held_out, units = np.array([1, 2, 3, 5, 6, 7]), np.repeat([0, 1], 4)
-
-    def estimates(frame):
-        pose = PoseMeasurement(np.array([frame, 0, 0]), np.array([1.0, 0, 0, 0]), 0.1, 0.1, 50, 0.99)
-        return [pose] if frame in (1, 5) else []
-
-    upright = Beliefs([np.zeros((6, 2))], ["upright"] * 6, [estimates(frame) for frame in held_out.tolist()])
-    found = calibrating._look_turned(data, units, dict.fromkeys(range(8)), held_out, Rolled(), upright)
+    held_out, units = np.array([1, 2, 3, 5, 6, 7]), np.array([1, 1, 1, 1, 0, 0, 0, 0])
+    found = calibrating.beliefs_of_streams(data, units, dict.fromkeys(range(8)), held_out, Rolled())
     # by the pose of the frame before, which a turned image gives anew; the first of a stretch is upright
-    expected = [(2, 0.1, "upright 2"), (3, 0.2, "upright 3"), (6, 0.5, "upright 6"), (7, 0.6, "upright 7")]
-    assert turned == expected
-    assert found.mixtures == ["upright", 2, 3, "upright", 6, 7]
-    np.testing.assert_array_equal(found.proba[0][:, 0], [0, 2, 3, 0, 6, 7])
-    assert [its[0].position_xyz[0] for its in found.estimates] == [1, 2, 3, 5, 6, 7]
-    assert upright.mixtures == ["upright"] * 6
+    assert sorted(turned) == [(2, 0.1, 2, 0), (3, 0.2, 3, 0), (6, 0.5, 6, 0), (7, 0.6, 7, 0)]
+    assert found.mixtures == ["upright", "turned", "turned"] * 2
+    np.testing.assert_array_equal(found.proba[0][:, 0], held_out)
+    assert [its[0].position_xyz[0] for its in found.estimates] == held_out.tolist()

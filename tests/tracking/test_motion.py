@@ -156,6 +156,7 @@ def test_distortion_is_taken_out_of_corners(lens):
     before, after = before[inside], after[inside]
     bent = PinholeCamera(500, 510, 320, 240, 640, 480, lens)
     np.testing.assert_allclose(bent.undistort(through_lens(before, lens)), before, atol=1e-4)
+    np.testing.assert_allclose(bent.distort(before), through_lens(before, lens) if lens else before, atol=1e-6)
     motion = estimate_relative_motion(through_lens(before, lens), through_lens(after, lens), bent)
     assert motion.n_inliers == len(before)
     assert Rotation.from_matrix(motion.R_prev_next.T @ R).magnitude() < 1e-4

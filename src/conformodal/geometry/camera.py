@@ -83,6 +83,16 @@ class PinholeCamera:
         ideal = undistort_points(pixels[:, None], self.matrix, lens, R=np.eye(3), P=self.matrix, criteria=until)
         return np.asarray(ideal, dtype=np.float64)[:, 0]
 
+    def distort(self, pixels: FloatArray) -> FloatArray:
+        """Where undistorted pixels (n, 2) are in the image: the inverse of :meth:`undistort`."""
+        if not self.distortion or not len(pixels):
+            return pixels
+        import cv2  # noqa: PLC0415 - poses and regions need no package for images
+
+        rays = np.column_stack((self.on_plane(pixels), np.ones(len(pixels))))
+        image, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.matrix, np.array(self.distortion))
+        return np.asarray(image, dtype=np.float64)[:, 0]
+
     def compensate_rolling_shutter(self, pixels: FloatArray, flow: FloatArray, shutter: FloatArray) -> FloatArray:
         """Where undistorted pixels (..., 2) are when the given pose is taken, from their flow (..., 2).
 

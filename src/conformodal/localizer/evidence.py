@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -32,6 +32,9 @@ class FrameEvidence:
     # (n, F) of the network, see conformodal.features.backbone.Backbone, or what computes them once they are asked for
     network: Float32Array | Callable[[], Float32Array]
     local_features: Sequence[LocalFeatures] = ()  # image by image; empty where they were not extracted
+    # image by image, what the source that follows corners has told already, or None; empty: of no image
+    estimates: Sequence[list[PoseMeasurement] | None] = ()
+    busy: bool = False  # whether sources without local features are asked only where no place was recognised
     _coarse: dict[tuple[int, int], Float32Array] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
@@ -45,7 +48,8 @@ class FrameEvidence:
     def part(self, rows: IntArray) -> FrameEvidence:
         """That of some of the images."""
         local_features = [self.local_features[i] for i in rows.tolist()] if self.local_features else ()
-        return FrameEvidence(lambda: self.features[rows], local_features)
+        estimates = [self.estimates[i] for i in rows.tolist()] if self.estimates else ()
+        return FrameEvidence(lambda: self.features[rows], local_features, estimates)
 
     def coarse(self, grid: tuple[int, int]) -> Float32Array:
         """(n, G) :func:`~conformodal.features.backbone.coarse_features`, computed once for all that use them."""
@@ -57,6 +61,14 @@ class FrameEvidence:
     def quality(self) -> FloatArray:
         """(n, 3) :func:`~conformodal.features.local.image_quality` of images with local features."""
         return np.array([features.quality for features in self.local_features])
+
+
+class LandmarkView(NamedTuple):
+    """Corners of one image that agree with a pose, and the landmarks that they show."""
+
+    corners: IntArray  # (m,) rows of the image's local features
+    landmarks: IntArray  # (m,) of the source's map
+    T_world_cam: FloatArray  # (4, 4) relative to the map's origin
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +87,7 @@ class PoseMeasurement:
     image_share: float = 1.0  # over which these are spread
     # to the nearest frame with a known pose, in scene depths plus radians; 0 where it is not measured
     distance_to_known: float = 0.0
+    view: LandmarkView | None = None  # what it rests on, where that can be followed into the next image
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from .candidates import Candidates, Mixture, fuse, mode_candidates
 from .evidence import FrameEvidence, PoseMeasurement
 from .observations import Posterior
 from .regions import Support
-from .sources.registry import PoseSource, SourceData, TurnsImages, find_source
+from .sources.registry import CarriesLandmarks, PoseSource, SourceData, TurnsImages, find_source
 
 _IMAGES_AT_A_TIME = 128  # seven times some thousand cells each
 _CELLS = 800  # per target, at least: estimates are more precise than bins
@@ -67,6 +67,13 @@ class Beliefs:
         """(n,) how strongly a place was recognised: inliers times the share of the image they cover; 0 if none was."""
         sure = [recognised_only(estimates) for estimates in self.estimates]
         return np.array([max((one.n_inliers * one.image_share for one in each), default=0.0) for each in sure])
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
+        """The beliefs of all parts, in order."""
+        proba = [np.concatenate(blocks) for blocks in zip(*(part.proba for part in parts), strict=True)]
+        mixtures = [mixture for part in parts for mixture in part.mixtures]
+        return cls(proba, mixtures, [each for part in parts for each in part.estimates])
 
     def part(self, rows: slice | IntArray) -> Beliefs:
         """The beliefs about some of the images."""
@@ -163,6 +170,13 @@ class Localizer:
         """Whether a source uses local features."""
         return any(source.local for source in self.sources)
 
+    @property
+    def carrying_source(self) -> CarriesLandmarks | None:
+        """The only source that uses local features, if it works with corners that were followed."""
+        local = [source for source in self.sources if source.local]
+        only = local[0] if len(local) == 1 else None
+        return only if isinstance(only, CarriesLandmarks) and only.carries else None
+
     @cached_property
     def cells(self) -> QuantileBins:
         """Cells of the beliefs' marginals."""
@@ -202,7 +216,8 @@ class Localizer:
         estimates = [[one for answer in measurements.values() for one in answer[i]] for i in range(n)]
         sigma_m = np.array([_best_sigma_m(each) for each in estimates])
         for source in (one for one in self.sources if not one.local):
-            ask(source, np.flatnonzero(source.least_sigma_m <= _USEFUL * sigma_m))
+            useful = source.least_sigma_m <= _USEFUL * sigma_m
+            ask(source, np.flatnonzero(np.isinf(sigma_m) if evidence.busy else useful))
         in_order = [measurements[source.name] for source in self.sources if source.name in measurements]
         proba, told = self._density(densities, n), sorted({i for rows, _ in densities for i in rows.tolist()})
         modes = dict(zip(told, mode_candidates([p[told] for p in proba], self.bins), strict=True))

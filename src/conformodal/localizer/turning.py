@@ -37,12 +37,16 @@ class TurnTracker:
         self._rotation = Rotation.identity()
         self._unrecognised = 0  # frames in a row
 
-    def next_turn(self, motion: RelativeMotion | None) -> float:
-        """The angle in radians by which to turn the next image, `motion` after the one before."""
+    def advance(self, motion: RelativeMotion | None) -> None:
+        """Go on to the next image, `motion` after the one before."""
+        if self._position_xyz is not None and motion is not None and motion.R_prev_next is not None:
+            self._rotation = self._rotation * Rotation.from_matrix(motion.R_prev_next)
+
+    @property
+    def turn_rad(self) -> float:
+        """The angle in radians by which to turn the current image."""
         if self._position_xyz is None:
             return 0.0
-        if motion is not None and motion.R_prev_next is not None:
-            self._rotation = self._rotation * Rotation.from_matrix(motion.R_prev_next)
         if self._unrecognised > _TRUSTED_FRAMES and self._unrecognised % 2:
             return 0.0
         return self._localizer.turn_for(self._position_xyz, self._rotation.as_quat(scalar_first=True))

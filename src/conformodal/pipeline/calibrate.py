@@ -16,9 +16,11 @@ from conformodal.core.parallel import in_threads, raise_if_cancelled
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.features.backbone import Backbone
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.features.local import QualityRange
+from conformodal.features.local import LocalFeatures, QualityRange
 from conformodal.geometry import RelativeMotion
 from conformodal.io import Disturbance, SplitKind
+from conformodal.io.decoding import grey_image
+from conformodal.localizer.carrying import FrameStream, StreamFrame
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
 from conformodal.localizer.localizer import Beliefs, Localizer, belief_cells
@@ -26,7 +28,6 @@ from conformodal.localizer.observations import MotionPrior, Observations, Poster
 from conformodal.localizer.regions import EvidenceType, PlaceNovelty, RegionRules, pose_scores
 from conformodal.localizer.rooms import Rooms, part_of
 from conformodal.localizer.sources.registry import SourceData
-from conformodal.localizer.turning import TurnTracker
 from conformodal.tracking.motions import frame_features, turned_features
 
 from .config import ModelConfig, OdometryError
@@ -70,13 +71,19 @@ def calibrate_regions(
     for fold, localizer in pairs:
         _check_unseen(localizer, fold.held_out)
     local = all(localizer.local for localizer in localizers)
-    beliefs = [localizer.beliefs(_evidence(data, fold.held_out, local=local)) for fold, localizer in pairs]
-    if local and folds.units is not None and not data.detector.rotation_invariant:
-        look = partial(_look_turned, data, folds.units, motions)
-        beliefs = [look(fold.held_out, by, one) for (fold, by), one in zip(pairs, beliefs, strict=True)]
+    if local and folds.units is not None:
+        look = partial(beliefs_of_streams, data, folds.units, motions)
+        beliefs = [look(fold.held_out, by) for fold, by in pairs]
+        # where corners are followed, a place is as strongly recognised as when they were detected: the novelty test is
+        # calibrated on how strongly it is in frames in which they are
+        detected = beliefs
+        if any(by.carrying_source is not None for by in localizers):
+            detected = [look(fold.held_out, by, carries=False) for fold, by in pairs]
+    else:
+        beliefs = detected = [by.beliefs(_evidence(data, fold.held_out, local=local)) for fold, by in pairs]
     known_p = np.ones(len(folds.held_out))
     if novelty is not None:
-        novelty, known_p = _novelty_of_held_out(novelty, folds, data, beliefs if local else None)
+        novelty, known_p = _novelty_of_held_out(novelty, folds, data, detected if local else None)
     # of the evidence type of unknown places, as such images will be
     known_p = np.where(
         np.concatenate([_out_of_range(*pair) for pair in zip(localizers, beliefs, strict=True)]), 0, known_p
@@ -105,29 +112,38 @@ def _evidence(data: SourceData, frames: IntArray, *, local: bool) -> FrameEviden
     return FrameEvidence(data.features[frames], data.local_features(frames) if local else ())
 
 
-def _look_turned(
+def beliefs_of_streams(
     data: SourceData,
     units: IntArray,
     motions: dict[int, RelativeMotion | None],
     held_out: IntArray,
     localizer: Localizer,
-    beliefs: Beliefs,
+    *,
+    carries: bool = True,
 ) -> Beliefs:
-    """The beliefs about held-out frames, each stretch looked at as a stream: images that are rolled are turned."""
-    turned: dict[int, Beliefs] = {}
-    for rows in rows_by_label(units[held_out]):
-        turns = TurnTracker(localizer)
-        for row in rows.tolist():
+    """The beliefs about held-out frames, each stretch looked at as a stream, see :class:`.carrying.FrameStream`."""
+
+    def of_stretch(rows: IntArray) -> list[Beliefs]:
+        stream, beliefs = FrameStream(localizer, data.sequence.camera, data.detector, carries=carries), []
+        for frame in held_out[rows].tolist():
             raise_if_cancelled()
-            frame, estimates = int(held_out[row]), beliefs.estimates[row]
-            turn = turns.next_turn(motions[frame])
-            if turn:
-                [upright] = data.local_features(np.array([frame]))
-                local = turned_features(data.sequence, frame, data.detector, turn, upright)
-                turned[row] = localizer.beliefs(FrameEvidence(data.features[frame : frame + 1], [local]))
-                [estimates] = turned[row].estimates
-            turns.observe(estimates)
-    return beliefs.replaced(turned)
+            [upright] = data.local_features(np.array([frame]))
+            grey, time_s = grey_image(data.sequence.image(frame)), float(data.sequence.timestamps_s[frame])
+
+            def detect(turn_rad: float, frame: int = frame, upright: LocalFeatures = upright) -> LocalFeatures:
+                if turn_rad == 0:
+                    return upright
+                return turned_features(data.sequence, frame, data.detector, turn_rad, upright)
+
+            look = stream.look(StreamFrame(grey, time_s, motions[frame], upright.flow), detect)
+            evidence = FrameEvidence(data.features[frame : frame + 1], [look.features], [look.estimates], look.busy)
+            beliefs.append(localizer.beliefs(evidence))
+            stream.observe(beliefs[-1].estimates[0])
+        return beliefs
+
+    stretches = rows_by_label(units[held_out])
+    in_order = [one for part in in_threads(of_stretch, stretches) for one in part]
+    return Beliefs.concatenate(in_order).part(np.argsort(np.concatenate(stretches)))
 
 
 def _out_of_range(localizer: Localizer, beliefs: Beliefs) -> BoolArray:

@@ -41,6 +41,7 @@ class Estimate:
     tracks: tuple[FloatArray, FloatArray] | None = None
     corners: Corners | None = None  # all corners here
     estimates: list[PoseMeasurement] = field(default_factory=list)  # from landmarks, one per retrieval cluster
+    carried: bool = False  # whether landmarks were followed from the frame before, not detected
     # conformal p-value of "this image shows a place that is known"; None where images are not tested
     known_p: float | None = None
     evidence: EvidenceType | None = None  # what the region rests on

@@ -6,6 +6,7 @@ import math
 import warnings
 from abc import ABC, abstractmethod
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
@@ -16,19 +17,20 @@ import numpy.typing as npt
 from conformodal.core.arrays import FloatArray, IntArray, UInt8Array
 from conformodal.core.parallel import one_blas_thread, raise_if_cancelled
 from conformodal.core.progress import StageProgress
-from conformodal.features.local import extract_local_features
+from conformodal.features.local import LocalFeatures, extract_local_features
 from conformodal.geometry import PinholeCamera, RelativeMotion, Trajectory
+from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import Recording
 from conformodal.io.decoding import grey_image
 from conformodal.io.diagnosis.clocks import doubt_steps
 from conformodal.io.diagnosis.streams import doubt_colours
 from conformodal.io.streams.frames import RecordingStream, prefetch
 from conformodal.localizer.candidates import pose_targets
+from conformodal.localizer.carrying import FrameLook, FrameStream, StreamFrame
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import PoseFilter, Window, hindsight_posteriors
 from conformodal.localizer.observations import MotionPrior, choose_places, find_places
 from conformodal.localizer.regions import EvidenceType, PoseRegions
-from conformodal.localizer.turning import TurnTracker
 from conformodal.tracking.tracker import FrontEnd, MotionFrontEnd, affine_flow
 
 from .config import Method, OdometryError
@@ -201,23 +203,34 @@ class VisualOdometry(Odometry):
         self._front_end = MotionFrontEnd(self.model.camera)
         self._watch = InputWatch(self.model.expected_input)
         self._filter.reset()
-        self._turns = TurnTracker(self.model.localizer)
+        model = self.model
+        follows, quality = model.follows_streams, model.quality
+        self._stream = FrameStream(model.localizer, model.camera, model.detector, follows=follows, quality=quality)
         self._last_s = self._usable_s = None
 
     def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
         grey = grey_image(image)  # once for tracker and local features
         motion = self._front_end.measure(grey)
-        local_features = []
+        evidence = FrameEvidence(partial(self.model.backbone.features_of, image))
+        carried = False
         if self.model.looks_at_local_features:
-            turn = self._turns.next_turn(motion) if self.model.turns_images else 0.0
-            local_features = [extract_local_features(grey, self.model.camera, self.model.detector, turn)]
-            if self._usable_s is not None:
-                flow = affine_flow(self._front_end.tracker.step, timestamp_s - self._usable_s, self.model.camera)
-                local_features = [local_features[0]._replace(flow=flow)]
-        network = partial(self.model.backbone.features_of, image)
-        localization = self.model.localize(FrameEvidence(network, local_features))
-        self._turns.observe(localization.beliefs.estimates[0])
-        return self._estimate(localization, motion, timestamp_s)
+            look = self._look(grey, timestamp_s, motion)
+            evidence = replace(evidence, local_features=[look.features], estimates=[look.estimates], busy=look.busy)
+            carried = look.carried
+        localization = self.model.localize(evidence)
+        self._stream.observe(localization.beliefs.estimates[0])
+        return replace(self._estimate(localization, motion, timestamp_s), carried=carried)
+
+    def _look(self, grey: UInt8Array, timestamp_s: float, motion: RelativeMotion | None) -> FrameLook:
+        """The local features of the next frame."""
+        model, flow = self.model, NO_FLOW
+        if self._usable_s is not None:
+            flow = affine_flow(self._front_end.tracker.step, timestamp_s - self._usable_s, model.camera)
+
+        def detect(turn_rad: float) -> LocalFeatures:
+            return extract_local_features(grey, model.camera, model.detector, turn_rad)._replace(flow=flow)
+
+        return self._stream.look(StreamFrame(grey, timestamp_s, motion, flow), detect)
 
     def _estimate(self, localization: Localization, motion: RelativeMotion | None, timestamp_s: float) -> Estimate:
         """The estimate of the next frame, from the posterior up to it."""

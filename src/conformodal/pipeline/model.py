@@ -141,13 +141,11 @@ class Localization:
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:
         """Those of all images, in order."""
-        proba = [np.concatenate(blocks) for blocks in zip(*(p.beliefs.proba for p in parts), strict=True)]
-        mixtures = [mixture for part in parts for mixture in part.beliefs.mixtures]
-        estimates = [estimate for part in parts for estimate in part.beliefs.estimates]
+        beliefs = Beliefs.concatenate([part.beliefs for part in parts])
         regions = PoseRegions.concatenate([part.regions for part in parts])
         names = "known_p", "kinds", "rooms"
         known_p, kinds, rooms = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
-        return cls(Beliefs(proba, mixtures, estimates), regions, known_p, kinds, rooms)
+        return cls(beliefs, regions, known_p, kinds, rooms)
 
     @property
     def candidates(self) -> list[Candidates]:
@@ -239,12 +237,12 @@ class PoseModel:
         return self.rules.recognised is not None
 
     @property
-    def turns_images(self) -> bool:
-        """Whether images are turned by the roll that was followed so far.
+    def follows_streams(self) -> bool:
+        """Whether images are turned by the roll that was followed so far, and corners carried from frame to frame.
 
         Not where random frames calibrate: these are looked at one by one, without those before.
         """
-        return not self.detector.rotation_invariant and self.calibration.units_ is not None
+        return self.calibration.units_ is not None
 
     @property
     def landmarks(self) -> LandmarkSource | None:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array
 from conformodal.geometry import MotionStatus, PinholeCamera, RelativeMotion
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.io.decoding import grey_image
@@ -43,6 +43,22 @@ class Corners(NamedTuple):
 
     ids: IntArray  # (n,) a corner keeps its number in all frames; none is reused
     pixels: Float32Array  # (n, 2)
+
+
+def follow_corners(previous: UInt8Array, image: UInt8Array, pixels: Float32Array) -> tuple[Float32Array, BoolArray]:
+    """Pixels (n, 2), n > 0, of one grey image in the next, and whether each comes back to its start from there."""
+    options: dict[str, Any] = {"winSize": (_WINDOW_PX, _WINDOW_PX), "criteria": _UNTIL}
+    start = pixels[:, None]
+    there, tracked, _ = cv2.calcOpticalFlowPyrLK(previous, image, start, start.copy(), maxLevel=_LEVELS, **options)
+    # tracking back may start at its end: a stable corner comes back there, a false one does not
+    options |= {"maxLevel": _BACK_LEVELS, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
+    back, tracked_back, _ = cv2.calcOpticalFlowPyrLK(image, previous, there, start.copy(), **options)
+    there, back = there[:, 0], back[:, 0]
+    height, width = image.shape
+    alive = (tracked[:, 0] == 1) & (tracked_back[:, 0] == 1)
+    alive &= np.linalg.norm(back - pixels, axis=1) <= _MAX_BACK_ERROR_PX
+    alive &= (there >= 0).all(axis=1) & (there <= (width - 1, height - 1)).all(axis=1)
+    return np.asarray(there, np.float32), np.asarray(alive, np.bool_)
 
 
 class CornerTracker:
@@ -80,17 +96,7 @@ class CornerTracker:
         if previous is None or len(self._now) == 0:
             self.step = self._now, self._now
             return
-        options: dict[str, Any] = {"winSize": (_WINDOW_PX, _WINDOW_PX), "criteria": _UNTIL}
-        start = self._now[:, None]
-        there, tracked, _ = cv2.calcOpticalFlowPyrLK(previous, image, start, start.copy(), maxLevel=_LEVELS, **options)
-        # tracking back may start at its end: a stable corner comes back there, a false one does not
-        options |= {"maxLevel": _BACK_LEVELS, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
-        back, tracked_back, _ = cv2.calcOpticalFlowPyrLK(image, previous, there, start.copy(), **options)
-        there, back = there[:, 0], back[:, 0]
-        height, width = image.shape
-        alive = (tracked[:, 0] == 1) & (tracked_back[:, 0] == 1)
-        alive &= np.linalg.norm(back - self._now, axis=1) <= _MAX_BACK_ERROR_PX
-        alive &= (there >= 0).all(axis=1) & (there <= (width - 1, height - 1)).all(axis=1)
+        there, alive = follow_corners(previous, image, self._now)
         self.step = self._now[alive], there[alive]
         self._now, self._marked, self._ids = there[alive], self._marked[alive], self._ids[alive]
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from conformodal.features.local import LocalFeatures
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.geometry.map_poses import ROUNDS
 from conformodal.localizer.sources import mapping
@@ -129,6 +130,40 @@ def test_a_place_is_solved_once_though_keyframes_far_apart_show_it(monkeypatch, 
     every = landmarks.localize(image)
     assert len(every) > 1
     assert max(np.linalg.norm(one.position_xyz - once.position_xyz) for one in every) < 0.02
+
+
+def followed(landmarks, view, pose, rng, wrong=0.0):
+    """An image of the landmarks of a view from another pose: some corners are lost, some are followed to elsewhere."""
+    local = (landmarks.points_xyz[view.landmarks] - pose[:3, 3]) @ pose[:3, :3]
+    pixels = local[:, :2] / local[:, 2:] * landmarks.camera.fx + (CAMERA.cx, CAMERA.cy)
+    pixels += rng.normal(0, 0.3, pixels.shape)
+    slipped = rng.random(len(pixels)) < wrong
+    pixels[slipped] += rng.uniform(20, 60, (int(slipped.sum()), 2))
+    nothing = np.empty((0, 0), np.uint8), np.empty(0, np.float32)
+    return LocalFeatures(pixels, *nothing), view._replace(corners=np.arange(len(pixels))), slipped
+
+
+def test_a_pose_is_refined_from_corners_that_were_followed(mapped):
+    world, landmarks, image = mapped
+    [before] = landmarks.localize(image)
+    rng, pose = np.random.default_rng(2), world.poses_se3[30].copy()
+    pose[:3, 3] += 0.03, -0.02, 0.01
+    pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec([0.02, -0.01, 0.01]).as_matrix()
+    now, view, slipped = followed(landmarks, before.view, pose @ world.T_pose_cam, rng, wrong=0.2)
+    after = landmarks.carry(now, view)
+    assert errors(after, pose) == pytest.approx((0, 0), abs=0.005)
+    assert not slipped[after.view.corners].any()
+    assert after.n_inliers > 0.95 * (~slipped).sum()
+    np.testing.assert_array_equal(after.view.landmarks, view.landmarks[after.view.corners])
+    assert after.inlier_share == pytest.approx(0.8, abs=0.1)
+
+
+def test_a_pose_from_too_few_followed_corners_is_none(mapped):
+    world, landmarks, image = mapped
+    [before] = landmarks.localize(image)
+    now, view, _ = followed(landmarks, before.view, world.poses_se3[30] @ world.T_pose_cam, np.random.default_rng(2))
+    few = view._replace(corners=view.corners[:10], landmarks=view.landmarks[:10])
+    assert landmarks.carry(now, few) is None
 
 
 def test_a_keyframe_keeps_at_most_300_landmarks(mapped):

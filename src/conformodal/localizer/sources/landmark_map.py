@@ -19,7 +19,7 @@ from conformodal.features.local import Descriptors, LocalFeatures, Matcher, matc
 from conformodal.geometry import PinholeCamera, cross_matrices, rigid_motions
 from conformodal.geometry.adjustment import MEDIAN_OF_NORM2
 from conformodal.geometry.triangulation import local_origin
-from conformodal.localizer.evidence import PoseMeasurement
+from conformodal.localizer.evidence import LandmarkView, PoseMeasurement
 
 # Retrieval: keyframes matched in the most similar cluster and in each of the others, clusters at most, and keyframes
 # that are clustered
@@ -140,6 +140,25 @@ class LandmarkMap:
                     guided.append(solution.T_world_cam)
         return estimates
 
+    def carry(self, image: LocalFeatures, view: LandmarkView) -> PoseMeasurement | None:
+        """The pose of an image, refined from that of a view whose corners were followed into the image.
+
+        `view` names the landmarks of corners of the image, and the pose of the image before.
+        """
+        image = image.compensate_rolling_shutter(self.shutter, self.camera)
+        pixels, points = image.pixels[view.corners], self.points_xyz[view.landmarks].astype(np.float64)
+        R_cam_world = view.T_world_cam[:3, :3].T
+        before = poselib.CameraPose()
+        before.R, before.t = R_cam_world, -R_cam_world @ view.T_world_cam[:3, 3]
+        pose, _ = poselib.refine_absolute_pose(pixels, points, before, self.camera.poselib(), _REFINEMENT)
+        T_world_cam = _camera_to_world(pose)
+        pixels_seen, ahead = self._projected(points, T_world_cam)
+        agree = ahead & (np.linalg.norm(pixels_seen - pixels, axis=1) < _MAX_REPROJECTION_PX)
+        if agree.sum() < MIN_INLIERS:
+            return None
+        solution = _Solution(T_world_cam, view.corners[agree], view.landmarks[agree], float(agree.mean()))
+        return self._measured(image, solution, np.ones(len(self.poses_se3), dtype=np.bool_))
+
     def turn_for(self, position_xyz: FloatArray, quat_wxyz: FloatArray) -> float:
         """Angle in radians by which an image from about a pose is turned to be matched; 0 where it need not be.
 
@@ -241,7 +260,8 @@ class LandmarkMap:
         position, quat = self.origin_xyz + T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True)
         agreeing = np.unique(solution.corners)
         shares = solution.inlier_share, self._share_of_image(image.pixels[agreeing])
-        return PoseMeasurement(position, quat, sigma_m, sigma_rad, len(agreeing), 1.0, *shares, apart)
+        view = LandmarkView(solution.corners, solution.landmarks, T_world_cam)
+        return PoseMeasurement(position, quat, sigma_m, sigma_rad, len(agreeing), 1.0, *shares, apart, view)
 
     def _guided(self, image: LocalFeatures, T_world_cam: FloatArray, shown: BoolArray) -> tuple[IntArray, IntArray]:
         """Corners and landmarks (m,) that match where the keyframes nearest to a pose say that they are."""

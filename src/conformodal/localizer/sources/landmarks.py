@@ -25,6 +25,7 @@ from conformodal.localizer.evidence import (
     ErrorModel,
     FrameEvidence,
     HeldOutErrors,
+    LandmarkView,
     PoseMeasurement,
     fit_error_model,
 )
@@ -73,6 +74,11 @@ class LandmarkSource:
     grid: tuple[int, int] | None = None
 
     @property
+    def carries(self) -> bool:
+        """Whether it needs no network to retrieve places: with one, detecting features is not what takes longest."""
+        return self.grid is None
+
+    @property
     def summary(self) -> dict[str, float]:
         """Counts and focal length, for records and messages."""
         return {
@@ -107,14 +113,32 @@ class LandmarkSource:
         images = evidence.local_features
         if not images:
             return SourceAnswer(measurements=[[] for _ in range(len(evidence))])
-        if self.grid is not None:
-            rows = zip(images, at_unit_length(evidence.coarse(self.grid)), strict=True)
+        told = evidence.estimates or [None] * len(images)
+        missing = np.flatnonzero([one is None for one in told])
+        images = [images[i] for i in missing.tolist()]
+        if self.grid is not None and images:
+            rows = zip(images, at_unit_length(evidence.coarse(self.grid))[missing], strict=True)
             images = [image._replace(global_descriptor=row) for image, row in rows]
-        return SourceAnswer(measurements=in_threads(self.localize, images))
+        answers = iter(in_threads(self.localize, images))
+        return SourceAnswer(measurements=[_without_views(next(answers)) if one is None else one for one in told])
 
     def turn_for(self, position_xyz: FloatArray, quat_wxyz: FloatArray) -> float:
         """See :meth:`~conformodal.localizer.sources.landmark_map.LandmarkMap.turn_for`."""
         return self.map.turn_for(position_xyz, quat_wxyz)
+
+    def carry(
+        self, image: LocalFeatures, view: LandmarkView, detected: PoseMeasurement, n_followed: int
+    ) -> PoseMeasurement | None:
+        """The estimate of an image into which corners of the one before were followed; see :class:`CarriesLandmarks`.
+
+        Its place is as strongly recognised as when the corners were detected, but less probable, the fewer still agree.
+        """
+        one = self.map.carry(image, view)
+        if one is None:
+            return None
+        share = detected.inlier_share * one.n_inliers / n_followed
+        one = replace(one, n_inliers=detected.n_inliers, image_share=detected.image_share, inlier_share=share)
+        return self.errors.apply(one, *_support(one))
 
     def localize(self, image: LocalFeatures) -> list[PoseMeasurement]:
         """Estimates of one image whose standard deviation is below half the scene's depth."""
@@ -205,3 +229,8 @@ def _fit_errors(
 def _support(one: PoseMeasurement) -> tuple[float, float, float]:
     """Distinct inliers, their share of the matched corners, and the share of the image that they cover."""
     return float(max(one.n_inliers, 1)), max(one.inlier_share, 1e-3), max(one.image_share, 1e-3)
+
+
+def _without_views(estimates: list[PoseMeasurement]) -> list[PoseMeasurement]:
+    """The estimates alone, as they are stored for as long as a run takes."""
+    return [replace(one, view=None) for one in estimates]

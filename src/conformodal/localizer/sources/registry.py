@@ -27,7 +27,7 @@ from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import RelativeMotion
 from conformodal.io import Recording, SplitKind, held_out_together
 from conformodal.localizer import LocalizationError
-from conformodal.localizer.evidence import FrameEvidence, PoseMeasurement
+from conformodal.localizer.evidence import FrameEvidence, LandmarkView, PoseMeasurement
 from conformodal.tracking.motions import frame_features, run_front_end
 
 
@@ -180,6 +180,29 @@ class TurnsImages(Protocol):
 
     def turn_for(self, position_xyz: FloatArray, quat_wxyz: FloatArray) -> float:
         """Angle in radians by which to turn an image from about a pose, (3,) metres and (4,); 0 to leave it."""
+        ...
+
+
+@runtime_checkable
+class CarriesLandmarks(Protocol):
+    """A source that estimates poses from corners that were followed from the image before."""
+
+    @property
+    def carries(self) -> bool:
+        """Whether local features are all that it needs of an image."""
+        ...
+
+    def localize(self, image: LocalFeatures) -> list[PoseMeasurement]:
+        """Estimates of an image from its local features; their views say which landmarks its corners show."""
+        ...
+
+    def carry(
+        self, image: LocalFeatures, view: LandmarkView, detected: PoseMeasurement, n_followed: int
+    ) -> PoseMeasurement | None:
+        """The estimate of an image from followed corners, whose landmarks `view` names beside the last pose.
+
+        `detected` is the last estimate from detected features, of which `n_followed` corners were followed.
+        """
         ...
 
 

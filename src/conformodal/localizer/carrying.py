@@ -1,0 +1,196 @@
+"""Local features of a recording frame by frame: of most frames, corners that were followed from the frame before.
+
+To detect, describe and match local features takes most of a frame's time. Between frames, a corner whose landmark is
+known is as well followed by optical flow, and the camera's pose refined from there. Every few frames, local features
+are detected again; their matches are looked for one frame later, so that no frame bears both.
+
+:class:`FrameStream` does the same in a run and in calibration, whose thresholds are therefore those of such frames.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array, evenly_spread
+from conformodal.features.local import Detector, LocalFeatures, QualityRange, image_quality
+from conformodal.geometry import PinholeCamera, RelativeMotion
+from conformodal.tracking.tracker import follow_corners
+
+from .evidence import LandmarkView, PoseMeasurement
+from .localizer import Localizer, recognised_only
+from .sources.registry import CarriesLandmarks
+from .turning import TurnTracker
+
+
+@dataclass(frozen=True)
+class CarrySettings:
+    """When corners are followed instead of detected."""
+
+    # between detections. Chosen on seed 20 of redkitchen `blocks` and fr1_xyz, and 0 of fr1_rpy: with a third of a
+    # second, poses are a fifth worse on fr1_xyz
+    detect_every_s: float = 0.16
+    max_step_s: float = 0.2  # between frames: corners move too far in more
+    max_corners: int = 300  # that are followed
+    min_corners: int = 30  # that agree with the pose
+    min_share: float = 0.5  # of the corners that were followed from the last detection, that still agree
+
+
+class StreamFrame(NamedTuple):
+    """The next frame of a recording."""
+
+    grey: UInt8Array  # (height, width)
+    timestamp_s: float
+    motion: RelativeMotion | None  # from the frame before; None where nothing is known of it
+    flow: FloatArray  # (2, 3) pixels per second, see conformodal.tracking.tracker.affine_flow
+
+
+class FrameLook(NamedTuple):
+    """What local features tell of a frame."""
+
+    features: LocalFeatures  # detected; or the corners that were followed, without descriptors
+    # of the source that follows corners; None where it has yet to be asked for them
+    estimates: list[PoseMeasurement] | None = None
+    carried: bool = False  # whether corners were followed
+    # whether features were detected or matched beside: then other sources, which take as long, are asked only where no
+    # place was recognised
+    busy: bool = False
+
+
+class _Anchor(NamedTuple):
+    """The corners of a frame that show known landmarks: what the next frame is looked at with."""
+
+    grey: UInt8Array
+    timestamp_s: float
+    pixels: Float32Array  # (n, 2) as in the image
+    view: LandmarkView  # its corners are rows of `pixels`
+    detected: PoseMeasurement  # the last estimate from detected features
+    n_followed: int  # corners that were followed from that frame on
+
+
+class _Detection(NamedTuple):
+    """A frame whose detected features are to be matched with landmarks."""
+
+    frame: StreamFrame
+    features: LocalFeatures
+
+
+class FrameStream:
+    """Decides, frame by frame, whether corners are detected or followed, and how far the image is turned before.
+
+    Unless it `follows` the stream, each frame is looked at by itself, upright; unless it `carries`, corners are detected
+    in each frame. Images whose quality is out of range are calibrated one by one: no corners are followed into them.
+    """
+
+    def __init__(
+        self,
+        localizer: Localizer,
+        camera: PinholeCamera,
+        detector: Detector,
+        *,
+        follows: bool = True,
+        carries: bool = True,
+        quality: QualityRange | None = None,
+        settings: CarrySettings | None = None,
+    ) -> None:
+        self._camera, self._quality, self._settings = camera, quality, settings or CarrySettings()
+        self._turns = TurnTracker(localizer) if follows and not detector.rotation_invariant else None
+        self._source = localizer.carrying_source if follows and carries else None
+        self.reset()
+
+    def reset(self) -> None:
+        """Start a new recording."""
+        if self._turns is not None:
+            self._turns.reset()
+        self._anchor: _Anchor | None = None
+        self._detection: _Detection | None = None  # of the frame before, if it was not matched then
+        self._detected_s = -math.inf  # when features were detected last
+
+    def look(self, frame: StreamFrame, detect: Callable[[float], LocalFeatures]) -> FrameLook:
+        """Look at the next frame; `detect` gives its local features, the image turned by an angle in radians.
+
+        :meth:`observe` takes the estimates of the frame before the next one is looked at.
+        """
+        if self._turns is not None:
+            self._turns.advance(frame.motion)
+        if self._source is None:
+            return FrameLook(detect(self._turn_rad))
+        matches = self._detection is not None
+        if self._detection is not None:
+            self._anchor = self._anchor_at(self._detection, self._source.localize(self._detection.features))
+            self._detection = None
+        followed = self._followed(frame, self._source)
+        if followed is None:
+            detection = self._detect(frame, detect)
+            estimates = self._source.localize(detection.features)
+            self._anchor = self._anchor_at(detection, estimates)
+            return FrameLook(detection.features, [replace(one, view=None) for one in estimates])
+        if frame.timestamp_s - self._detected_s >= self._settings.detect_every_s:
+            self._detection = self._detect(frame, detect)
+        return followed._replace(busy=matches or self._detection is not None)
+
+    def _detect(self, frame: StreamFrame, detect: Callable[[float], LocalFeatures]) -> _Detection:
+        self._detected_s = frame.timestamp_s
+        return _Detection(frame, detect(self._turn_rad))
+
+    @property
+    def _turn_rad(self) -> float:
+        """The angle by which the current image is turned before features are detected."""
+        return 0.0 if self._turns is None else self._turns.turn_rad
+
+    def observe(self, estimates: Sequence[PoseMeasurement]) -> None:
+        """Take the estimates of the current frame."""
+        if self._turns is not None:
+            self._turns.observe(estimates)
+
+    def _anchor_at(self, detection: _Detection, estimates: Sequence[PoseMeasurement]) -> _Anchor | None:
+        """Corners to follow from a frame; None where not exactly one place was recognised, or by too few of them."""
+        recognised = recognised_only(estimates)
+        if len(recognised) != 1 or (view := recognised[0].view) is None:
+            return None
+        corners = np.unique(view.corners)
+        if len(corners) < self._settings.min_corners:
+            return None
+        # detectors give corners in order of their strength: take strong and weak ones, which are from all of the image
+        corners = corners[evenly_spread(len(corners), self._settings.max_corners)]
+        pixels = self._camera.distort(detection.features.pixels[corners]).astype(np.float32)
+        grey, timestamp_s, *_ = detection.frame
+        return _Anchor(grey, timestamp_s, pixels, _rows_of(view, corners), recognised[0], len(corners))
+
+    def _followed(self, frame: StreamFrame, source: CarriesLandmarks) -> FrameLook | None:
+        """The look at a frame with the corners of the one before; None where features must be detected."""
+        anchor, self._anchor = self._anchor, None
+        if anchor is None or not 0 < frame.timestamp_s - anchor.timestamp_s <= self._settings.max_step_s:
+            return None
+        quality = image_quality(frame.grey)
+        if self._quality is not None and self._quality.is_outside(quality[None])[0]:
+            return None
+        there, alive = follow_corners(anchor.grey, frame.grey, anchor.pixels)
+        if alive.sum() < self._settings.min_corners:
+            return None
+        pixels = there[alive]
+        nothing = np.empty((0, 0), np.uint8), np.empty(0, np.float32)
+        features = LocalFeatures(self._camera.undistort(pixels.astype(np.float64)), *nothing, quality, frame.flow)
+        view = _rows_of(anchor.view, np.flatnonzero(alive))
+        estimate = source.carry(features, view, anchor.detected, anchor.n_followed)
+        if estimate is None or estimate.view is None or not recognised_only([estimate]):
+            return None
+        agreeing = np.unique(estimate.view.corners)
+        if len(agreeing) < max(self._settings.min_corners, self._settings.min_share * anchor.n_followed):
+            return None
+        view = _rows_of(estimate.view, agreeing)
+        self._anchor = anchor._replace(
+            grey=frame.grey, timestamp_s=frame.timestamp_s, pixels=pixels[agreeing], view=view
+        )
+        return FrameLook(features, [replace(estimate, view=None)], carried=True)
+
+
+def _rows_of(view: LandmarkView, corners: IntArray) -> LandmarkView:
+    """A view of some of its corners, increasing; these are numbered anew."""
+    at = np.searchsorted(corners, view.corners)
+    there = corners[np.minimum(at, len(corners) - 1)] == view.corners
+    return LandmarkView(at[there], view.landmarks[there], view.T_world_cam)
