@@ -6,8 +6,8 @@ import pytest
 
 from conformodal.io import read_recording
 from conformodal.pipeline.config import OdometryError
-from conformodal.pipeline.estimator import InputWatch
 from conformodal.pipeline.model import ExpectedInput
+from conformodal.pipeline.odometry import InputWatch
 
 pytestmark = pytest.mark.filterwarnings("ignore::conformodal.io.DatasetWarning")
 FR1_STEP_S = 1 / 15

@@ -9,7 +9,7 @@ from conformodal.io import read_recording
 from conformodal.io.decoding import grey_image
 from conformodal.tracking.relative_pose import solve_poselib
 from conformodal.tracking.submaps import build_submaps
-from conformodal.tracking.tracker import Corners, CornerTracker
+from conformodal.tracking.tracker import CornerTracker, TrackedCorners
 
 CAMERA = PinholeCamera(500, 510, 320, 240, 640, 480)
 
@@ -36,7 +36,7 @@ def corners_of(centres, rotations, points, noise_px=0.0, seed=0, visible=None):
         pixels = on_plane(centre, rotations[t], points) * (CAMERA.fx, CAMERA.fy) + (CAMERA.cx, CAMERA.cy)
         pixels += rng.normal(size=pixels.shape) * noise_px
         there = np.arange(len(points)) if visible is None else visible(t)
-        found.append(Corners(there.astype(np.int64), pixels[there].astype(np.float32)))
+        found.append(TrackedCorners(there.astype(np.int64), pixels[there].astype(np.float32)))
     return found
 
 
@@ -89,10 +89,10 @@ def test_where_nothing_can_be_told_there_is_no_submap():
     assert build_submaps(corners_of(centres, rotations, points)[:2], CAMERA) == []
     assert build_submaps([], CAMERA) == []
     assert build_submaps(corners_of(centres, rotations, points[:20]), CAMERA) == []
-    nothing = [Corners(np.empty(0, np.int64), np.empty((0, 2), np.float32))] * 12
+    nothing = [TrackedCorners(np.empty(0, np.int64), np.empty((0, 2), np.float32))] * 12
     assert build_submaps(nothing, CAMERA) == []
     rng = np.random.default_rng(0)
-    nonsense = [Corners(c.ids, rng.permutation(c.pixels)) for c in corners_of(centres, rotations, points)]
+    nonsense = [TrackedCorners(c.ids, rng.permutation(c.pixels)) for c in corners_of(centres, rotations, points)]
     assert build_submaps(nonsense, CAMERA) == []
 
 

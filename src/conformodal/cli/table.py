@@ -61,7 +61,7 @@ _HELP = "Learn columns of a CSV file from the others (fit, the default), or writ
 app = typer.Typer(cls=_FitByDefault, help=_HELP, no_args_is_help=True, add_completion=False)
 
 
-class Split(StrEnum):
+class RowSplit(StrEnum):
     """Which rows test and calibrate."""
 
     RANDOM = "random"
@@ -77,7 +77,9 @@ def fit(
         list[str] | None, _data(help="Column to leave out, such as one known later; repeatable.")
     ] = None,
     unit: Annotated[str | None, _data(help="Column that names what rows belong to, such as a subject.")] = None,
-    split: Annotated[Split, _data(help="Rows that test and calibrate: at random, or the last in time.")] = Split.RANDOM,
+    split: Annotated[
+        RowSplit, _data(help="Rows that test and calibrate: at random, or the last in time.")
+    ] = RowSplit.RANDOM,
     sep: Annotated[str | None, _reading(help="Separator; recognised by default.")] = None,
     decimal: Annotated[str | None, _reading(help="Mark before decimals; recognised by default.")] = None,
     thousands: Annotated[str | None, _reading(help="Mark between thousands; none by default.")] = None,
@@ -97,7 +99,7 @@ def fit(
     if question := doubt_alpha(alpha):
         raise TableError(question)
     _check_outputs(plot, model)
-    if unit is not None and (group or split is Split.TIME):
+    if unit is not None and (group or split is RowSplit.TIME):
         raise TableError("--unit cannot be used with --group or --split time")
     written: dict[str, Any] = {"decimal": decimal, "thousands": thousands, "na_values": na_values or []}
     frame, notes = read_table(file, CsvFormat("\t" if sep == r"\t" else sep, **written))
@@ -110,7 +112,7 @@ def fit(
     test, train = _split_rows(X, units, split, np.random.default_rng(seed))
     joint: Any = "max" if len(target) > 1 else "none"
     reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, y_min=y_min, y_max=y_max)
-    reg.calibration = "random" if split is Split.RANDOM else "last"
+    reg.calibration = "random" if split is RowSplit.RANDOM else "last"
     train_groups, test_groups = (X[group].iloc[rows] if group else None for rows in (train, test))
     with warning_lines(UserWarning, lambda text: report_line(f"note: {text}", bold=True)):
         reg.fit(X.iloc[train], y.iloc[train], groups=train_groups, units=None if units is None else units.iloc[train])
@@ -123,7 +125,7 @@ def fit(
             report_line(f"line {X.index[test[row]]}, {name}: {ranges} (true: {readable(true)})")
     report_line(f"rows with several intervals: {several.mean():.0%}")
     about = f"rows of any new {unit}" if unit else "rows drawn at random"
-    if split is Split.TIME:
+    if split is RowSplit.TIME:
         about = "the last rows, calibrated on those before; no split guarantees that of later ones"
     elif X.select_dtypes("datetime").shape[1]:
         about += "; for that of the last rows in time: --split time"
@@ -132,7 +134,9 @@ def fit(
         diagnosis = reg.diagnose(X.iloc[test], y.iloc[test], test_groups)
     for line in str(diagnosis).splitlines():
         report_line(line)
-    if split is Split.TIME and any(check.coverage < check.low for one in diagnosis.columns for _, check in one.rows()):
+    if split is RowSplit.TIME and any(
+        check.coverage < check.low for one in diagnosis.columns for _, check in one.rows()
+    ):
         report_line("the data seem to drift: the last rows are covered less often than chance allows", bold=True)
     if model is not None:
         others = frame.drop(columns=[*X, *y])
@@ -151,10 +155,10 @@ app.command()(predict)
 
 
 def _split_rows(
-    X: pd.DataFrame, units: pd.Series | None, split: Split, random: np.random.Generator
+    X: pd.DataFrame, units: pd.Series | None, split: RowSplit, random: np.random.Generator
 ) -> tuple[AnyArray, AnyArray]:
     """Positions of a fifth of the rows, to test on, and of the others: whole units, or the last in time."""
-    if split is Split.TIME:
+    if split is RowSplit.TIME:
         dates = X.select_dtypes("datetime")
         order = dates.iloc[:, 0].argsort(kind="stable").to_numpy() if dates.shape[1] else np.arange(len(X))
         return order[len(X) - len(X) // 5 :], order[: len(X) - len(X) // 5]

@@ -82,8 +82,9 @@ class _Detection(NamedTuple):
 class FrameStream:
     """Decides, frame by frame, whether corners are detected or followed, and how far the image is turned before.
 
-    Unless it `follows` the stream, each frame is looked at by itself, upright; unless it `carries`, corners are detected
-    in each frame. Images whose quality is out of range are calibrated one by one: no corners are followed into them.
+    Unless it `follows` the stream, each frame is looked at by itself, upright; unless it `carries`, corners are
+    detected in each frame. Images whose quality is out of range are calibrated one by one: no corners are followed into
+    them.
     """
 
     def __init__(

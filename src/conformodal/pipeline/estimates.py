@@ -15,7 +15,7 @@ from conformodal.localizer.evidence import PoseMeasurement
 from conformodal.localizer.observations import Observations, Place, Posterior
 from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.tracking.submaps import build_submaps
-from conformodal.tracking.tracker import Corners
+from conformodal.tracking.tracker import TrackedCorners
 
 from .model import Localization, PoseModel
 
@@ -39,7 +39,7 @@ class Estimate:
     # corners of the last answered frame, or of a later one where corners were renewed, and the same ones here, (m, 2)
     # pixels each
     tracks: tuple[FloatArray, FloatArray] | None = None
-    corners: Corners | None = None  # all corners here
+    corners: TrackedCorners | None = None  # all corners here
     estimates: list[PoseMeasurement] = field(default_factory=list)  # from landmarks, one per retrieval cluster
     carried: bool = False  # whether landmarks were followed from the frame before, not detected
     # conformal p-value of "this image shows a place that is known"; None where images are not tested

@@ -21,8 +21,8 @@ from conformodal.tracking.tracker import EssentialFrontEnd
 
 from .config import Method, OdometryError
 from .estimates import Estimate
-from .estimator import InputWatch, Odometry
 from .model import PAPERS_METHOD, Localization, PoseModel
+from .odometry import InputWatch, Odometry
 from .stream import as_trajectory
 
 _MIN_NORM = 1e-6

@@ -22,7 +22,7 @@ from .results import ResultsWriter, record_of
 from .stream_scores import StreamScores
 
 if TYPE_CHECKING:
-    from .estimator import Odometry  # which answers recordings by a runner
+    from .odometry import Odometry  # which answers recordings by a runner
 
 # Whole-path answers are worked out for so many frames at a time. The last ones wait for the next window, and that one
 # sees as many frames before them: what is further away than a few hundred frames tells nothing of a frame.

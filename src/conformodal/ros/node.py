@@ -22,7 +22,8 @@ from conformodal.io.streams import ros_messages
 from conformodal.io.streams.frames import SourceError
 from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.estimates import Estimate
-from conformodal.pipeline.estimator import Odometry, odometry_of
+from conformodal.pipeline.estimator import odometry_of
+from conformodal.pipeline.odometry import Odometry
 from conformodal.pipeline.store import load_model
 
 from .conversion import NAMESPACE, NANOSECONDS, TOPICS, Conversion, RosError

@@ -19,7 +19,7 @@ from conformodal.geometry.adjustment import INVERSE_DEPTHS, MEDIAN_OF_NORM2, Adj
 from conformodal.geometry.triangulation import Rays, triangulate
 
 from .relative_pose import estimate_relative_motion
-from .tracker import Corners
+from .tracker import TrackedCorners
 
 _MIN_SHARE, _MIN_CORNERS = 0.3, 40  # a submap ends where a smaller share of its corners is left, or fewer
 _MAX_SPAN = 60  # frames
@@ -36,7 +36,7 @@ _RANSAC = {"max_reproj_error": 3.0, "max_iterations": 200, "min_iterations": 10,
 _REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 0.5}
 
 
-def build_submaps(corners: Sequence[Corners], camera: PinholeCamera) -> list[Submap]:
+def build_submaps(corners: Sequence[TrackedCorners], camera: PinholeCamera) -> list[Submap]:
     """Submaps of a recording, from the corners of its frames in order of time.
 
     Frames are numbered by their index in `corners`. There is no submap where the camera stands still, only turns or
@@ -56,7 +56,7 @@ def build_submaps(corners: Sequence[Corners], camera: PinholeCamera) -> list[Sub
     return submaps
 
 
-def _longest(corners: Sequence[Corners], anchor: int, last: int, camera: PinholeCamera) -> Submap | None:
+def _longest(corners: Sequence[TrackedCorners], anchor: int, last: int, camera: PinholeCamera) -> Submap | None:
     """The submap from an anchor to a frame, or to one half as far where that fails, and so on; None if all fail."""
     while last > anchor + 1:
         frames = np.unique(np.linspace(anchor, last, _MAX_CAMERAS).round().astype(np.int64))
@@ -67,7 +67,7 @@ def _longest(corners: Sequence[Corners], anchor: int, last: int, camera: Pinhole
     return None
 
 
-def _reach(corners: Sequence[Corners], anchor: int) -> int:
+def _reach(corners: Sequence[TrackedCorners], anchor: int) -> int:
     """The last frame that still sees enough of the anchor's corners."""
     ids = corners[anchor].ids
     enough = max(_MIN_SHARE * len(ids), _MIN_CORNERS)
@@ -79,7 +79,7 @@ def _reach(corners: Sequence[Corners], anchor: int) -> int:
     return last
 
 
-def _submap(corners: Sequence[Corners], frames: IntArray, camera: PinholeCamera) -> Submap | None:
+def _submap(corners: Sequence[TrackedCorners], frames: IntArray, camera: PinholeCamera) -> Submap | None:
     views = _match_views(corners, camera)
     in_last = views.visible[-1]
     motion = estimate_relative_motion(views.raw_anchor[in_last], views.raw_last[in_last], camera)
@@ -127,7 +127,7 @@ class _Views(NamedTuple):
     raw_last: FloatArray
 
 
-def _match_views(corners: Sequence[Corners], camera: PinholeCamera) -> _Views:
+def _match_views(corners: Sequence[TrackedCorners], camera: PinholeCamera) -> _Views:
     first, *others = corners
     pixels = np.zeros((len(others), len(first.ids), 2))
     visible = np.zeros(pixels.shape[:2], dtype=bool)

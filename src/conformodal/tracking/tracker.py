@@ -38,7 +38,7 @@ _FLOW_ITERATIONS = 6
 _MIN_FLOW_PX = 0.1  # scale of the residuals, at least
 
 
-class Corners(NamedTuple):
+class TrackedCorners(NamedTuple):
     """The corners of one frame."""
 
     ids: IntArray  # (n,) a corner keeps its number in all frames; none is reused
@@ -117,9 +117,9 @@ class CornerTracker:
         """Pixels (n, 2) at the marked frame and at the current one."""
         return self._marked.astype(np.float64), self._now.astype(np.float64)
 
-    def corners(self) -> Corners:
+    def corners(self) -> TrackedCorners:
         """All living corners of the current frame."""
-        return Corners(self._ids.copy(), self._now.copy())
+        return TrackedCorners(self._ids.copy(), self._now.copy())
 
     def _new_corners(self, image: UInt8Array, count: int) -> Float32Array:
         smaller = 2 if image.shape[1] >= _HALVED_FROM else 1
@@ -163,7 +163,7 @@ class FrontEnd(ABC):
     # pixels (m, 2) of the same corners in the last measured frame and in the one before, or a later one where corners
     # were renewed between; None for the first frame
     tracks: tuple[FloatArray, FloatArray] | None
-    corners: Corners  # all corners of the last measured frame
+    corners: TrackedCorners  # all corners of the last measured frame
 
     def __init__(self, camera: PinholeCamera) -> None:
         self.camera = camera
