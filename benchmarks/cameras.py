@@ -37,7 +37,7 @@ from worlds import ALPHA, FAR_M, VARIANTS, WORLDS, Laboratory, frame_by_frame, s
 from conformodal.io import Disturbance
 from conformodal.pipeline.model import ONLINE
 
-DISTURBED = ("redkitchen, blocks", "fr1_xyz from fr1_desk")
+DISTURBED = ("redkitchen, blocks", "fr1_xyz from fr1_desk", "fr1_rpy from fr1_desk and fr1_xyz")
 ABLATED = (*tuple(WORLDS)[:4], "corridor, new laps after three")
 OTHERS = ("without motion", "without the filter")
 ELLIPSOIDS = (0.5, 0.9, 0.99)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from conformodal.core.errors import ConformodalError
-from conformodal.core.parallel import Engine
+from conformodal.pipeline.workers import Engine
 from experiments.tasks import ExperimentError, run_tasks
 
 os.environ.setdefault("RAY_ENABLE_AUTO_CONNECT", "0")  # as run_tasks sets it; read when ray is imported
