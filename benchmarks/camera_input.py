@@ -16,12 +16,12 @@ from worlds import DESK, RPY, XYZ, Laboratory
 
 from conformodal.core.arrays import FloatArray
 from conformodal.geometry import Trajectory, poses_at
+from conformodal.geometry.poses import table_of
 from conformodal.io import Recording, read_recording
 from conformodal.io.diagnosis import images
 from conformodal.io.diagnosis.axes import describe_axes, name_world_axes, signed_permutations
 from conformodal.io.diagnosis.cause import Cause
 from conformodal.io.diagnosis.order import diagnose
-from conformodal.io.pose_files import table_of
 
 SHIFT_S, MAX_GAP_S = 0.1, 1.0
 FOCALS = (1.6, 1.25, 1.1, 0.9, 0.75, 0.6)

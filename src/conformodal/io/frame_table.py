@@ -19,13 +19,14 @@ from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.words import as_utf8, counted
 from conformodal.geometry import PinholeCamera, Trajectory, poses_at
 from conformodal.geometry.metrics import MAX_GAP_S, nearest_in_time
+from conformodal.geometry.poses import matrices_of, table_of
 
 from .cameras import uncalibrated_camera, undistort_to
 from .decoding import TURNED, common_size, image_fault, is_turned, refuse_few_bits
 from .diagnosis.clocks import clock_hint, doubt_rate, in_seconds
 from .diagnosis.stale import STALE_PICTURES, STALE_POSES, describe_stretches, stale_pictures, stale_poses
 from .errors import DatasetError, DatasetWarning
-from .pose_files import Faults, PoseRows, matrices_of, table_of
+from .pose_files import Faults, PoseRows
 from .reading import BETWEEN_RECORDINGS_S, Note, group_by_kind, read_numbers
 from .recording import Recording
 

@@ -202,22 +202,3 @@ def matrix_faults(poses: FloatArray) -> Faults:
         hint = "; is it transposed?" if np.allclose(poses[i, :, 3], (0, 0, 0, 1), atol=1e-6) else ""
         faults[i] = f"its last row is {poses[i, 3].tolist()}, expected [0.0, 0.0, 0.0, 1.0]{hint}"
     return faults | lost_faults(poses[:, :3, 3], (poses == np.eye(4)).all(axis=(1, 2)))
-
-
-def table_of(poses: FloatArray) -> FloatArray:
-    """Rows ``x y z qw qx qy qz`` (n, 7) of poses (n, 4, 4); NaN where a pose is NaN."""
-    rows = np.full((len(poses), 7), np.nan)
-    finite = np.isfinite(poses).all(axis=(1, 2))
-    if finite.any():
-        path = Trajectory.from_poses_se3(np.zeros(int(finite.sum())), poses[finite])
-        rows[finite] = np.column_stack((path.positions_xyz, path.orientations_quat_wxyz))
-    return rows
-
-
-def matrices_of(rows: FloatArray) -> FloatArray:
-    """Poses (n, 4, 4) of rows ``x y z qw qx qy qz`` (n, 7); NaN where a row is."""
-    poses = np.full((len(rows), 4, 4), np.nan)
-    finite = np.isfinite(rows).all(axis=1)
-    path = Trajectory(np.zeros(int(finite.sum())), rows[finite, :3], rows[finite, 3:])
-    poses[finite] = path.poses_se3 if len(path) else poses[finite]
-    return poses

@@ -10,9 +10,9 @@ import numpy as np
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.geometry import PinholeCamera, Trajectory, cross_matrices, poses_at
 from conformodal.geometry.lens import on_plane
+from conformodal.geometry.poses import table_of
 from conformodal.io.decoding import grey_image
 from conformodal.io.errors import ImageError
-from conformodal.io.pose_files import table_of
 from conformodal.io.recording import Recording
 
 from .axes import OPENCV, advise_axes, describe_axes, is_usual, name_axes, name_world_axes, signed_permutations

@@ -16,13 +16,14 @@ import numpy as np
 
 from conformodal.core.extras import require_extra
 from conformodal.geometry import PinholeCamera
+from conformodal.geometry.poses import matrices_of, table_of
 from conformodal.io.cameras import Size, camera_of
 from conformodal.io.decoding import common_size
 from conformodal.io.diagnosis.cameras import UNDISTORT
 from conformodal.io.diagnosis.columns import length_doubt
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import DOUBTFUL, FrameTable
-from conformodal.io.pose_files import PoseRows, matrices_of, pose_faults, table_of
+from conformodal.io.pose_files import PoseRows, pose_faults
 from conformodal.io.reading import (
     Note,
     by_name,

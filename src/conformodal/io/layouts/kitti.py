@@ -13,12 +13,13 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.geometry import rigid_motions
+from conformodal.geometry.poses import matrices_of, table_of
 from conformodal.io.cameras import camera_of
 from conformodal.io.decoding import common_size
 from conformodal.io.diagnosis.cameras import check_matrix
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import FrameTable
-from conformodal.io.pose_files import PoseRows, matrices_of, matrix_faults, table_of
+from conformodal.io.pose_files import PoseRows, matrix_faults
 from conformodal.io.reading import (
     Note,
     image_files,

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from conformodal.geometry import PinholeCamera
+from conformodal.geometry.poses import table_of
 from conformodal.io.cameras import Size, camera_of
 from conformodal.io.decoding import common_size
 from conformodal.io.diagnosis.cameras import UNDISTORT
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import FrameTable
-from conformodal.io.pose_files import matrix_faults, table_of
+from conformodal.io.pose_files import matrix_faults
 from conformodal.io.reading import MALFORMED, SUFFIXES, Note, by_name, file_named, read_lines, times_by_folder
 
 FILES = ("transforms.json", "transforms_train.json")

@@ -17,11 +17,12 @@ import numpy as np
 
 from conformodal.core.arrays import BoolArray
 from conformodal.geometry import PinholeCamera
+from conformodal.geometry.poses import table_of
 from conformodal.io.cameras import INTRINSICS, camera_beside
 from conformodal.io.decoding import common_size
 from conformodal.io.errors import DatasetError
 from conformodal.io.frame_table import FrameTable
-from conformodal.io.pose_files import matrix_faults, table_of
+from conformodal.io.pose_files import matrix_faults
 from conformodal.io.reading import numbered_frames, parse_lines, read_frame_rate, read_numbers, recording_folders
 
 CAMERA = PinholeCamera(585.0, 585.0, 320.0, 240.0, 640, 480)

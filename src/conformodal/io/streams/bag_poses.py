@@ -10,7 +10,8 @@ from conformodal.core.arrays import FloatArray
 from conformodal.core.words import counted
 from conformodal.geometry import Trajectory, poses_at
 from conformodal.geometry.metrics import MAX_GAP_S
-from conformodal.io.pose_files import matrices_of, pose_faults
+from conformodal.geometry.poses import matrices_of
+from conformodal.io.pose_files import pose_faults
 from conformodal.io.reading import Note
 
 from .bag import BagStream, bag_reader
