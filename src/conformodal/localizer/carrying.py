@@ -31,8 +31,8 @@ from .turning import TurnTracker
 class CarrySettings:
     """When corners are followed instead of detected."""
 
-    # between detections. Chosen on seed 20 of redkitchen `blocks` and fr1_xyz, and 0 of fr1_rpy: 0.12 s is no better in
-    # all three, and with a third of a second poses online are a fifth worse on fr1_xyz
+    # between detections. Chosen on seed 20 of redkitchen `blocks` and fr1_xyz, and 0 of fr1_rpy: 0.12 s is better on
+    # fr1_rpy and worse on fr1_xyz, where with a third of a second poses online are a fifth worse
     detect_every_s: float = 0.16
     max_step_s: float = 0.2  # between frames: corners move too far in more
     max_corners: int = 300  # that are followed
