@@ -81,15 +81,6 @@ class Beliefs:
         mixtures, estimates = [self.mixtures[i] for i in numbers], [self.estimates[i] for i in numbers]
         return Beliefs([p[rows] for p in self.proba], mixtures, estimates)
 
-    def replaced(self, others: dict[int, Beliefs]) -> Beliefs:
-        """The same with others about one image each in place of those in some rows."""
-        mixtures, estimates, proba = list(self.mixtures), list(self.estimates), [p.copy() for p in self.proba]
-        for row, other in others.items():
-            [mixtures[row]], [estimates[row]] = other.mixtures, other.estimates
-            for mine, its in zip(proba, other.proba, strict=True):
-                mine[row] = its[0]
-        return Beliefs(proba, mixtures, estimates)
-
     def after(self, posteriors: Sequence[Posterior]) -> Beliefs:
         """The beliefs once other frames are known: each posterior, and where it is wrong, the image's own belief.
 

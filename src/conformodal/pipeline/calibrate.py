@@ -71,14 +71,13 @@ def calibrate_regions(
     for fold, localizer in pairs:
         _check_unseen(localizer, fold.held_out)
     local = all(localizer.local for localizer in localizers)
-    if local and folds.units is not None:
+    carries = local and any(by.carrying_source is not None for by in localizers)
+    if local and folds.units is not None and (carries or not data.detector.rotation_invariant):
         look = partial(beliefs_of_streams, data, folds.units, motions)
         beliefs = [look(fold.held_out, by) for fold, by in pairs]
         # where corners are followed, a place is as strongly recognised as when they were detected: the novelty test is
         # calibrated on how strongly it is in frames in which they are
-        detected = beliefs
-        if any(by.carrying_source is not None for by in localizers):
-            detected = [look(fold.held_out, by, carries=False) for fold, by in pairs]
+        detected = [look(fold.held_out, by, carries=False) for fold, by in pairs] if carries else beliefs
     else:
         beliefs = detected = [by.beliefs(_evidence(data, fold.held_out, local=local)) for fold, by in pairs]
     known_p = np.ones(len(folds.held_out))
