@@ -8,7 +8,7 @@ import pytest
 
 from conformodal.features.local import ORB, LocalFeatures, QualityRange, image_quality
 from conformodal.geometry.camera import NO_FLOW
-from conformodal.localizer.carrying import CarrySettings, FrameStream, StreamFrame
+from conformodal.localizer.carrying import CarrySettings, FeatureStream, StreamFrame
 from conformodal.localizer.evidence import LandmarkView, PoseMeasurement
 from tests.localizer.conftest import CAMERA
 
@@ -54,7 +54,7 @@ class Camera:
 
     def __init__(self, source, **options):
         localizer = SimpleNamespace(carrying_source=source)
-        self.stream = FrameStream(localizer, CAMERA, ORB, **options)
+        self.stream = FeatureStream(localizer, CAMERA, ORB, **options)
         self.detected = []
 
     def look(self, k, grey=None, time_s=None):

@@ -74,14 +74,40 @@ def test_the_guarantee_holds_in_each_room_with_enough_weight(n_members):
                 assert missed[rooms == room].sum() <= alpha * (rooms == room).sum() + 1e-9
 
 
-def test_a_small_room_has_the_larger_of_its_own_quantile_and_that_of_all():
+def test_small_rooms_are_calibrated_together_and_have_at_least_their_own_quantile():
     easy, hard = np.linspace(0.1, 0.5, 40), np.array([0.2, 0.9])
     whole = rule(np.concatenate((easy, hard)))
     limits = thresholds_by_room(whole, np.repeat([0, 7], [40, 2]))
     np.testing.assert_allclose(limits[0], conformal_quantile(easy, 0.25), rtol=1e-9)
     np.testing.assert_allclose(limits[7], 0.9, rtol=1e-9)  # two of two are at most 3/4 of two, rounded up
-    lower = thresholds_by_room(rule(np.concatenate((easy, hard / 10))), np.repeat([0, 7], [40, 2]))
-    np.testing.assert_allclose(lower[7], conformal_quantile(np.concatenate((easy, hard / 10)), 0.25), rtol=1e-9)
+    # alone, the small room weighs too little: no less than the threshold of all rooms
+    low = np.concatenate((easy, hard / 10))
+    limits = thresholds_by_room(rule(low), np.repeat([0, 7], [40, 2]))
+    np.testing.assert_allclose(limits[7], conformal_quantile(low, 0.25), rtol=1e-9)
+    # two small rooms weigh enough together
+    limits = thresholds_by_room(rule(np.concatenate((easy, hard / 10, hard / 9))), np.repeat([0, 7, 8], [40, 2, 2]))
+    together = conformal_quantile(np.concatenate((hard / 10, hard / 9)), 0.25)
+    np.testing.assert_allclose([limits[7][0], limits[8][0]], together, rtol=1e-9)
+
+
+def test_many_small_rooms_do_not_cost_the_guarantee_of_all():
+    """A large room and twenty rooms of one frame: each frame is the new one once, so that the average is the law."""
+    rng, alpha, missed = np.random.default_rng(0), 0.25, []
+    rooms = np.concatenate((np.zeros(40, dtype=np.int64), np.arange(1, 21)))
+    for _ in range(4):
+        scores = rng.random(len(rooms)) + (rooms > 0)
+        for new in range(len(rooms)):
+            others = np.delete(np.arange(len(rooms)), new)
+            limits = thresholds_by_room(rule(scores[others], alpha=alpha), rooms[others])
+            small = np.max([limits[room] for room in limits if room > 0], axis=0)
+            missed.append(scores[new] > limits.get(rooms[new], small)[0])
+    assert np.mean(missed) <= alpha + 1e-12
+
+
+def test_two_targets_calibrated_apart_have_thresholds_by_room():
+    cells = SplitConformal(CELLS, 0.25, "hpd", "bonferroni").calibrate_scores(np.random.default_rng(0).random((40, 2)))
+    limits = thresholds_by_room(cells, np.repeat([0, 1], [38, 2]))
+    assert (limits[1] >= cells.thresholds_).all()
 
 
 def test_a_part_of_a_part_keeps_the_weights_in_whole_units():
@@ -108,3 +134,16 @@ def test_each_type_has_thresholds_by_room():
     kinds = np.array([EvidenceType.LANDMARKS])
     np.testing.assert_array_equal(alone.thresholds(kinds, np.array([1])), alone.thresholds(kinds))
     assert (rules.thresholds(np.array([EvidenceType.UNKNOWN]), np.array([0])) == np.inf).all()
+
+
+def test_disturbed_images_have_at_least_the_threshold_of_their_room():
+    rng = np.random.default_rng(0)
+    rooms = np.repeat([0, 1], 100)
+    scores = rng.random(200) * (1 + rooms)
+    copies = rule(rng.random(60))
+    rules = RegionRules(rule(scores), np.ones(200, dtype=bool), np.ones(200), 0.1, copies, np.ones(60), rooms)
+    kinds = np.full(2, EvidenceType.DISTURBED)
+    limits = rules.thresholds(kinds, np.array([0, 1]))
+    own = [rules.thresholds(np.array([EvidenceType.LANDMARKS]), np.array([room]))[0] for room in (0, 1)]
+    np.testing.assert_array_equal(limits, np.maximum(own, copies.thresholds_))
+    assert limits[1, 0] > limits[0, 0]

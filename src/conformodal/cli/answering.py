@@ -293,6 +293,6 @@ def describe_coverage(coverage: dict[str, Any]) -> str:
     held, share = round(coverage["bounded_coverage"] * n_bounded), 100 * coverage["bounded_coverage"]
     verb = noun_for(held, "contains", "contain")
     text = f"{held} of {counted(n_bounded, 'bounded region')} ({share:.1f} %) {verb} the true pose; {open_ended}"
-    if rooms := coverage.get("by_room"):
-        text += f"; of {len(rooms)} rooms the least covered has {100 * rooms[0]['coverage']:.1f} %"
+    if (rooms := coverage.get("by_room")) and rooms[0]["bounded_coverage"] is not None:
+        text += f"; {100 * rooms[0]['bounded_coverage']:.1f} % in the least covered of {len(rooms)} rooms"
     return text

@@ -4,7 +4,7 @@ To detect, describe and match local features takes most of a frame's time. Betwe
 known is as well followed by optical flow, and the camera's pose refined from there. Every few frames, local features
 are detected again; their matches are looked for one frame later, so that no frame bears both.
 
-:class:`FrameStream` does the same in a run and in calibration, whose thresholds are therefore those of such frames.
+:class:`FeatureStream` does the same in a run and in calibration, whose thresholds are therefore those of such frames.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class _Detection(NamedTuple):
     features: LocalFeatures
 
 
-class FrameStream:
+class FeatureStream:
     """Decides, frame by frame, whether corners are detected or followed, and how far the image is turned before.
 
     Unless it `follows` the stream, each frame is looked at by itself, upright; unless it `carries`, corners are

@@ -334,9 +334,13 @@ class RegionRules:
             for room, own in self._by_room.get(kind, {}).items() if rooms is not None else ():
                 limits[(calibrated == kind) & (rooms == room)] = own
         for kind, others in _AT_LEAST.items():
+            rows = kinds == kind
             for other in self.by_type.keys() & others:
-                least = self.by_type[other].thresholds_
-                limits[kinds == kind] = np.maximum(limits[kinds == kind], np.where(np.isfinite(least), least, -np.inf))
+                alone = {} if rooms is None else self._by_room.get(other, {})
+                every = self.by_type[other].thresholds_
+                least = every if rooms is None else [alone.get(room, every) for room in rooms[rows].tolist()]
+                least = np.reshape(np.where(np.isfinite(least), least, -np.inf), (-1, limits.shape[1]))
+                limits[rows] = np.maximum(limits[rows], least)
         return limits
 
     def at(self, alpha: Alpha) -> RegionRules:
@@ -351,7 +355,8 @@ class PlaceNovelty:
     """The novelty test against the frames that the sources learnt from.
 
     Null hypothesis: the image is exchangeable with left-out frames (or stretches, or recordings) of the training data.
-    The p-values are exact if the network was not trained on them.
+    The p-values are exact if the network was not trained on them; where corners are followed from frame to frame, they
+    are those of frames in which they were detected, so approximate.
     """
 
     test: NoveltyTest  # of the image's appearance: its distance to the most similar known frame

@@ -85,17 +85,33 @@ def part_of(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:
 def thresholds_by_room(rule: SplitConformal, rooms: IntArray) -> dict[int, RealArray]:
     """Thresholds (d,) of each room, from the calibration frames of a rule and their rooms (n,).
 
-    A room whose frames weigh less than a finite threshold needs has the larger one of its own quantile, without the
-    margin for a new frame, and the threshold of all rooms; its guarantee is no more than that of all rooms together.
+    Rooms whose frames weigh less than a finite threshold needs are calibrated together: each has at least the threshold
+    of all of them, and at least its own quantile. If all of them still weigh too little, they have at least the
+    threshold of all rooms, and no guarantee of their own.
     """
-    return {room: _of_room(rule, part_of(rule, rooms == room)) for room in np.unique(rooms).tolist()}
+    parts = {room: part_of(rule, rooms == room) for room in np.unique(rooms).tolist()}
+    small = [room for room, own in parts.items() if not weighs_enough(own)]
+    limits = {room: own.thresholds_ for room, own in parts.items()}
+    if small:
+        together = part_of(rule, np.isin(rooms, small))
+        least = together.thresholds_
+        if not weighs_enough(together):
+            least = np.maximum(_quantile(together), rule.thresholds_)
+        limits |= {room: np.maximum(_quantile(parts[room]), least) for room in small}
+    return limits
 
 
-def _of_room(every: SplitConformal, own: SplitConformal) -> RealArray:
-    rate, weight = own.alpha_per_target, own.weight
-    if weight >= 1 / rate - 1:
-        return own.thresholds_
+def weighs_enough(rule: SplitConformal) -> bool:
+    """Whether calibration frames weigh as much as a finite threshold needs."""
+    return bool(rule.weight >= 1 / rule.alpha_per_target - 1)
+
+
+def _quantile(rule: SplitConformal) -> RealArray:
+    """The quantile (d,) of calibration scores, without the margin for a new frame; minus infinity if it is infinite."""
+    rate, weight = rule.alpha_per_target, rule.weight
     # at this rate, the rank among `weight + 1` is that of alpha among `weight`
-    share = (1 + weight * rate) / (weight + 1)
-    quantile = own.at(share * as_alpha(own.alpha) / rate).thresholds_
-    return np.maximum(np.where(np.isfinite(quantile), quantile, -np.inf), every.thresholds_)
+    share = (1 + weight * rate) / (weight + 1) * as_alpha(rule.alpha) / rate
+    if share >= 1:
+        return np.full(rule.bins.n_targets, -np.inf)
+    limits = rule.at(share).thresholds_
+    return np.where(np.isfinite(limits), limits, -np.inf)

@@ -20,7 +20,7 @@ from conformodal.features.local import LocalFeatures, QualityRange
 from conformodal.geometry import RelativeMotion
 from conformodal.io import Disturbance, SplitKind
 from conformodal.io.decoding import grey_image
-from conformodal.localizer.carrying import FrameStream, StreamFrame
+from conformodal.localizer.carrying import FeatureStream, StreamFrame
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
 from conformodal.localizer.localizer import Beliefs, Localizer, belief_cells
@@ -120,10 +120,10 @@ def beliefs_of_streams(
     *,
     carries: bool = True,
 ) -> Beliefs:
-    """The beliefs about held-out frames, each stretch looked at as a stream, see :class:`.carrying.FrameStream`."""
+    """The beliefs about held-out frames, each stretch looked at as a stream, see :class:`.carrying.FeatureStream`."""
 
     def of_stretch(rows: IntArray) -> list[Beliefs]:
-        stream, beliefs = FrameStream(localizer, data.sequence.camera, data.detector, carries=carries), []
+        stream, beliefs = FeatureStream(localizer, data.sequence.camera, data.detector, carries=carries), []
         for frame in held_out[rows].tolist():
             raise_if_cancelled()
             [upright] = data.local_features(np.array([frame]))
@@ -316,10 +316,11 @@ def compare_sources(
     novelty: PlaceNovelty | None,
     rules: RegionRules,
     frames: IntArray,
+    rooms: Rooms | None = None,
 ) -> SourceComparison | None:
     """Compare scores of held-out frames by the model's localizer and by those of the folds, a share of frames each.
 
-    None if no frame shows a known place.
+    Frames are looked at by themselves, upright. None if no frame shows a known place.
     """
     frames = frames[evenly_spread(len(frames), _MAX_COMPARED)]
 
@@ -330,7 +331,8 @@ def compare_sources(
             p = novelty.p_values(images, beliefs.recognition)
         scores = score_beliefs(_on_cells(rules.overall, by), by, beliefs, data.targets[frames[rows]])
         kinds = rules.kinds(p, beliefs.recognised)
-        held = np.asarray((scores <= rules.thresholds(kinds)).all(axis=1))
+        in_rooms = None if rooms is None else rooms.rooms_of([mixture.candidates for mixture in beliefs.mixtures])
+        held = np.asarray((scores <= rules.thresholds(kinds, in_rooms)).all(axis=1))
         return held, rules.overall.columns(scores).mean(axis=1), kinds != EvidenceType.UNKNOWN
 
     n = len(frames)

@@ -15,7 +15,7 @@ from conformodal.geometry import RelativeMotion, Trajectory
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.io.decoding import grey_image
 from conformodal.localizer.candidates import pose_targets
-from conformodal.localizer.carrying import FrameLook, FrameStream, StreamFrame
+from conformodal.localizer.carrying import CarrySettings, FeatureStream, FrameLook, StreamFrame
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import PoseFilter, Window, hindsight_posteriors
 from conformodal.localizer.observations import MotionPrior, choose_places, find_places
@@ -61,8 +61,17 @@ class VisualOdometry(Odometry):
         self._watch = InputWatch(self.model.expected_input)
         self._filter.reset()
         model = self.model
-        follows, quality = model.follows_streams, model.quality
-        self._stream = FrameStream(model.localizer, model.camera, model.detector, follows=follows, quality=quality)
+        # where training frames are further apart, no carried corners are calibrated
+        settings = CarrySettings()
+        self._stream = FeatureStream(
+            model.localizer,
+            model.camera,
+            model.detector,
+            follows=model.follows_streams,
+            carries=model.expected_input.step_s <= settings.max_step_s,
+            quality=model.quality,
+            settings=settings,
+        )
         self._last_s = self._usable_s = None
 
     def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:

@@ -14,6 +14,7 @@ from conformodal.geometry import Trajectory, trajectory_errors
 from conformodal.localizer.candidates import TARGET_NAMES, pose_targets
 from conformodal.localizer.observations import same_place
 from conformodal.localizer.regions import EvidenceType, PoseRegions
+from conformodal.localizer.rooms import weighs_enough
 
 from .guarantee import describe_guarantee
 from .model import ONLINE, PoseModel
@@ -114,7 +115,7 @@ def coverage_table(statistics: RegionStatistics, model: PoseModel, *, exchangeab
     met = [(rule.n_units, n) for rule, n in groups]
     met.append((0, int(chosen[EvidenceType.UNKNOWN].sum())))  # always covered
     # small rooms have thresholds that are not of their own frames alone
-    own = rules.rooms is None or all(rule.weight >= 1 / rule.alpha_per_target - 1 for rule, _ in groups)
+    own = rules.rooms is None or all(weighs_enough(rule) for rule, _ in groups)
     by_frame, whole = rules.overall.units_ is None, calibration.joint == "max"
     # those that left the range of qualities by chance are not exchangeable with disturbed ones
     alike = not (statistics.kinds == EvidenceType.DISTURBED).any()
@@ -204,14 +205,18 @@ def bounded_coverage(held: BoolArray, bounded: BoolArray) -> dict[str, Any]:
 
 
 def coverage_by_room(held: BoolArray, bounded: BoolArray, rooms: IntArray) -> list[dict[str, Any]]:
-    """Coverage of n frames by the room of each, the least covered room first; empty where all are of one room."""
+    """Coverage of n frames by the room of each; empty where all are of one room.
+
+    That whose bounded regions hold the fewest poses comes first.
+    """
     parts = {room: rooms == room for room in np.unique(rooms).tolist()}
     rows = [
         {"room": room, "frames": int(part.sum()), "coverage": float(held[part].mean())}
         | bounded_coverage(held[part], bounded[part])
         for room, part in parts.items()
     ]
-    return sorted(rows, key=lambda row: row["coverage"]) if len(rows) > 1 else []
+    least_first = sorted(rows, key=lambda row: 2.0 if row["bounded_coverage"] is None else row["bounded_coverage"])
+    return least_first if len(rows) > 1 else []
 
 
 def _mean(values: BoolArray | FloatArray | IntArray) -> float | None:

@@ -14,6 +14,10 @@ from conformodal.localizer.regions import EvidenceType
 from .model import PoseModel
 
 N_NEW = 1000
+_IN_ROOMS = (
+    " Each room has thresholds of its own: so it holds in each room with enough calibration frames, and in the small "
+    "rooms together if these have enough; else it is approximate in small rooms."
+)
 _NOT_ELSEWHERE = "; nothing is guaranteed for another recording"
 WHERE = {
     EvidenceType.GLOBAL: "in all images",
@@ -25,6 +29,10 @@ WHERE = {
 
 def describe_guarantee(model: PoseModel) -> str:
     """What the model's regions guarantee, under which condition, and where that is known not to hold."""
+    return f"{_of_all_rooms(model)}{'' if model.rules.rooms is None else _IN_ROOMS}"
+
+
+def _of_all_rooms(model: PoseModel) -> str:
     rule, comparison = model.calibration, model.comparison
     what = "each target by itself" if rule.joint == "none" else "the whole pose"
     text = f"Guarantee: regions hold {what} with probability at least {1 - model.alpha:g} in "

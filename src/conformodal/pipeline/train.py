@@ -140,7 +140,7 @@ def train_model(
         expected_input=ExpectedInput.of(data.sequence),
         configuration=config.record(data.sequence.name, len(data.sequence), "stretches" if stretches else "frames")
         | {"whole_recordings": folds.whole_recordings, "unit": data.sequence.unit},
-        comparison=compare_sources(sources, localizers, localizer, novelty, rules, test) if stretches else None,
+        comparison=compare_sources(sources, localizers, localizer, novelty, rules, test, rooms) if stretches else None,
         path_rules=path_rules,
         quality=regions.quality,
         detector=data.detector,

@@ -105,7 +105,7 @@ def diagnose_poses(recording: Recording) -> Cause | None:
         return _told(_best_axes(recording.poses.poses_se3, matches, rays, camera), near)
     if given < FITS and (repeats := _parts_that_repeat(recording.poses)):
         return Cause(repeats, near, "give both of one rate, interpolated to the images' times")
-    if _fit(given, before) > 1 - _BETTER:
+    if given > 1 - _BETTER and not before < 1 - _BETTER:
         return None
     return _explain(recording.poses, camera, matches, rays, motions, near)
 
@@ -114,13 +114,16 @@ def _explain(
     truth: Trajectory, camera: PinholeCamera, matches: _Matches, rays: FloatArray, motions: Motions, near: str
 ) -> Cause | None:
     """The best of changes of camera and poses, if it is better than none; `near` says how the poses fit as read."""
-    given = _fit(float(_shares_near(motions, rays, camera.fx)), _share_before(motions, rays, camera.fx))
+    before = _share_before(motions, rays, camera.fx)
+    given = _fit(float(_shares_near(motions, rays, camera.fx)), before)
     changes = [_best_focal(camera, matches, motions), _best_axes(truth.poses_se3, matches, rays, camera)]
     if max(given, *(change.fit for change in changes)) < FITS:
         changes.append(_best_shift(truth, matches, rays, camera.fx))
-    most = max(change.fit for change in changes)
+    # of a change whose points cannot be placed, as many are taken to be before the cameras as are as read
+    fits = [_fit(change.share, before) if np.isnan(change.before) else change.fit for change in changes]
+    most = max(fits)
     if most >= max(_FITS_NOT, given + _BETTER):
-        return _told(next(change for change in changes if change.fit > most - _EQUAL), near)
+        return _told(next(change for change, fit in zip(changes, fits, strict=True) if fit > most - _EQUAL), near)
     if given >= _FITS_NOT:
         return None
     return Cause(
@@ -204,7 +207,7 @@ def _best_axes(poses_se3: FloatArray, matches: _Matches, rays: FloatArray, camer
     views = [(rays, False)]
     if (np.abs((camera.cx, camera.cy) - centre) > _OFF_CENTRE * np.array([camera.width, camera.height])).any():
         views.append((as_rays((matches.pixels - centre) / (camera.fx, camera.fy)), True))
-    found, most = list[_Change](), 0.0
+    found, most = list[_Change](), -1.0
     for tier, worlds in ((readings[:2], still), (readings[2:], still), (readings[:2], turns)):
         for view, in_middle in views if most < FITS else []:
             fitting = _fitting(tier, worlds, turns, matches, view, camera.fx, centred=in_middle)

@@ -138,11 +138,13 @@ class LandmarkSource:
             return None
         share = detected.inlier_share * one.n_inliers / n_followed
         one = replace(one, n_inliers=detected.n_inliers, image_share=detected.image_share, inlier_share=share)
-        return self.errors.apply(one, *_support(one))
+        return next(iter(self._precise([self.errors.apply(one, *_support(one))])), None)
 
     def localize(self, image: LocalFeatures) -> list[PoseMeasurement]:
         """Estimates of one image whose standard deviation is below half the scene's depth."""
-        estimates = (self.errors.apply(one, *_support(one)) for one in self.map.localize(image))
+        return self._precise([self.errors.apply(one, *_support(one)) for one in self.map.localize(image)])
+
+    def _precise(self, estimates: list[PoseMeasurement]) -> list[PoseMeasurement]:
         return [one for one in estimates if one.sigma_m < _SAME_PLACE * self.map.depth_m]
 
     def state(self) -> SourceState:
