@@ -146,18 +146,11 @@ class LandmarkMap:
         `view` names the landmarks of corners of the image, and the pose of the image before.
         """
         image = image.compensate_rolling_shutter(self.shutter, self.camera)
-        pixels, points = image.pixels[view.corners], self.points_xyz[view.landmarks].astype(np.float64)
         R_cam_world = view.T_world_cam[:3, :3].T
         before = poselib.CameraPose()
         before.R, before.t = R_cam_world, -R_cam_world @ view.T_world_cam[:3, 3]
-        pose, _ = poselib.refine_absolute_pose(pixels, points, before, self.camera.poselib(), _REFINEMENT)
-        T_world_cam = _camera_to_world(pose)
-        pixels_seen, ahead = self._projected(points, T_world_cam)
-        agree = ahead & (np.linalg.norm(pixels_seen - pixels, axis=1) < _MAX_REPROJECTION_PX)
-        if agree.sum() < MIN_INLIERS:
-            return None
-        solution = _Solution(T_world_cam, view.corners[agree], view.landmarks[agree], float(agree.mean()))
-        return self._measured(image, solution, np.ones(len(self.poses_se3), dtype=np.bool_))
+        solution = self._refined(image, before, view.corners, view.landmarks)
+        return None if solution is None else self._measured(image, solution, np.ones(len(self.poses_se3), np.bool_))
 
     def turn_for(self, position_xyz: FloatArray, quat_wxyz: FloatArray) -> float:
         """Angle in radians by which an image from about a pose is turned to be matched; 0 where it need not be.
@@ -234,17 +227,24 @@ class LandmarkMap:
             return None
         share, T_world_cam = float(inliers.mean()), _camera_to_world(pose)
         if inliers.sum() >= _GUIDING_INLIERS:
-            corners, landmarks = self._guided(image, T_world_cam, shown)
-            points, pixels = self.points_xyz[landmarks].astype(np.float64), image.pixels[corners]
-            if len(pixels) < MIN_INLIERS:
-                return None
-            pose, _ = poselib.refine_absolute_pose(pixels, points, pose, self.camera.poselib(), _REFINEMENT)
-            T_world_cam = _camera_to_world(pose)
-            pixels_seen, ahead = self._projected(points, T_world_cam)
-            inliers = ahead & (np.linalg.norm(pixels_seen - pixels, axis=1) < _MAX_REPROJECTION_PX)
-            if inliers.sum() < MIN_INLIERS:
-                return None
+            guided = self._refined(image, pose, *self._guided(image, T_world_cam, shown))
+            return None if guided is None else guided._replace(inlier_share=share)
         return _Solution(T_world_cam, corners[inliers], landmarks[inliers], share)
+
+    def _refined(
+        self, image: LocalFeatures, pose: poselib.CameraPose, corners: IntArray, landmarks: IntArray
+    ) -> _Solution | None:
+        """The pose refined from matches (m,) of corners and landmarks, and those that agree; None of too few."""
+        if len(corners) < MIN_INLIERS:
+            return None
+        pixels, points = image.pixels[corners], self.points_xyz[landmarks].astype(np.float64)
+        refined, _ = poselib.refine_absolute_pose(pixels, points, pose, self.camera.poselib(), _REFINEMENT)
+        T_world_cam = _camera_to_world(refined)
+        projected, ahead = self._projected(points, T_world_cam)
+        agree = ahead & (np.linalg.norm(projected - pixels, axis=1) < _MAX_REPROJECTION_PX)
+        if agree.sum() < MIN_INLIERS:
+            return None
+        return _Solution(T_world_cam, corners[agree], landmarks[agree], float(agree.mean()))
 
     def _measured(self, image: LocalFeatures, solution: _Solution, shown: BoolArray) -> PoseMeasurement | None:
         """The estimate of a solution, in the given frame; None where its inliers do not determine it."""
