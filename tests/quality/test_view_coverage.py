@@ -59,6 +59,8 @@ def test_unknown_frames_far_from_every_known_one_are_sparsely_covered():
     assert len(lines) == 1
     assert "frames 57 to 62 (around x=2.4, y=0.0)" in lines[0]
     assert "0.40 m and 0 degrees" in lines[0]
+    found.sequence.unit = "units"
+    assert "0.40 units and 0 degrees" in advice(found)[0]
 
 
 def test_a_piece_cut_out_of_a_recording_is_found():

@@ -76,7 +76,7 @@ def advice(quality: RecordingQuality) -> list[str]:
     ):
         # most errors are to be expected in long stretches far from everything known
         for one in sorted(stretches, key=lambda one: -one.change * (one.last - one.first + 1)):
-            change = f"{one.distance_m:.2f} m and {one.angle_deg:.0f} degrees"
+            change = f"{length(one.distance_m, quality.sequence.unit, 2)} and {one.angle_deg:.0f} degrees"
             if one.alike_xyz is not None:
                 change = _around(one.alike_xyz, quality)
             lines.append(text.format(_where(one, quality), change))
