@@ -30,7 +30,7 @@ from conformodal.localizer.overlap import near_known
 from conformodal.localizer.sources.landmark_map import LandmarkMap
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.train import prepare_training_data
-from conformodal.pipeline.training_data import measure_depths
+from conformodal.tracking.depths import track_depth
 from conformodal.tracking.motions import frame_features
 
 KITCHEN, DESK, XYZ = "7scenes/redkitchen", "tum/fr1_desk", "tum/fr1_xyz"
@@ -67,7 +67,7 @@ def errors(source: str, target: str, third: int | None) -> dict[tuple[str, bool]
     mapped, new, cache = read_recording(DATA / source), read_recording(DATA / target), FeatureCache(default_cache_dir())
     frames, asked = split(mapped, new, third)
     data = prepare_training_data(mapped, ModelConfig(), cache)
-    depth_m, grid = measure_depths(mapped, frames)[0], data.backbone.config.grid
+    depth_m, grid = track_depth(mapped, frames).median_m, data.backbone.config.grid
     truth = new.require_truth().positions_xyz[asked]
     queries = {disturbed: replace(new, noise=Disturbance(0) if disturbed else None) for disturbed in (False, True)}
     paths = [new.image_paths[i] for i in asked]

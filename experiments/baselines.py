@@ -22,8 +22,8 @@ from conformodal.features.settings import TrainingConfig
 from conformodal.io import held_out_together
 from conformodal.localizer.candidates import TARGET_NAMES
 from conformodal.localizer.sources.neighbours import LocalSettings, fit_local
+from conformodal.localizer.training_data import TrainingData
 from conformodal.pipeline.plain import known_frames
-from conformodal.pipeline.training_data import TrainingData
 
 from .regressors import START_DROPOUT, SettingsSearch, TunedRegressor, root_mean_square
 from .tasks import ExperimentError

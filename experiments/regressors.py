@@ -23,10 +23,10 @@ from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory, angle_between_quats, concatenate, normalise_quat
 from conformodal.localizer.observations import MotionPrior, PosePath
 from conformodal.localizer.smoother import smooth
+from conformodal.localizer.training_data import TrainingData
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.plain import PlainRegressor, fit_values, known_frames, scaling
 from conformodal.pipeline.stream import as_trajectory
-from conformodal.pipeline.training_data import TrainingData
 
 from .tasks import ExperimentError
 

@@ -22,6 +22,7 @@ from conformodal.localizer.candidates import Candidates, Probabilities, fuse, in
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import hindsight_posteriors
 from conformodal.localizer.observations import PosePath
+from conformodal.localizer.training_data import TrainingData
 from conformodal.pipeline.config import Method
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.estimator import odometry_of
@@ -33,7 +34,6 @@ from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import ResultsWriter, record_of
 from conformodal.pipeline.stream import as_trajectory, whole_paths
 from conformodal.pipeline.train import prepare_training_data, train_model
-from conformodal.pipeline.training_data import TrainingData
 
 from .baselines import BASELINES, Baseline, RegressionTask, n_numbers
 from .conditions import ALPHA, TrainingTask, config_of, run_name

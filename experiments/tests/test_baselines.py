@@ -10,7 +10,7 @@ from conformodal.features.backbone import feature_views
 from conformodal.features.head import fit_projection
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Split, SplitKind
-from conformodal.pipeline.training_data import TrainingData
+from conformodal.localizer.training_data import TrainingData
 from experiments.baselines import (
     BASELINES,
     N_COMPONENTS,
@@ -42,7 +42,7 @@ def make_data(two_answers=False, told_by="network", n=900):
     order = rng.permutation(n)
     split = Split(SplitKind.INTERLEAVED, 0, *(np.sort(p) for p in np.split(order, [n // 2, 3 * n // 4])))
     sequence = SimpleNamespace(recording=np.zeros(n, dtype=np.int64), given_test=None)
-    return TrainingData(sequence, split, None, features, targets, np.array([1.0, 0, 0, 0]))
+    return TrainingData(sequence, split, features, targets, np.array([1.0, 0, 0, 0]))
 
 
 @pytest.fixture(scope="module")

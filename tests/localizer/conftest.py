@@ -9,8 +9,9 @@ import pytest
 
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import PinholeCamera, Trajectory, normalise_quat
-from conformodal.io import Recording
-from conformodal.localizer.sources.registry import SourceAnswer, SourceData, SourceState
+from conformodal.io import Recording, Split, SplitKind
+from conformodal.localizer.sources.registry import SourceAnswer, SourceState
+from conformodal.localizer.training_data import SourceSettings, TrainingData
 
 THUMBNAIL = 768
 CAMERA = PinholeCamera(500, 500, 320, 240, 640, 480)
@@ -37,7 +38,9 @@ def make_data(n=240, seed=0, n_recordings=1, **settings):
     paths, recording = tuple(Path(f"{i}.png") for i in range(n)), np.arange(n) * n_recordings // n
     sequence = Recording("numbers", paths, times, recording, CAMERA, truth)
     training = TrainingConfig(epochs=2, hidden=16, components=6)
-    return SourceData(sequence, features_of(x), targets, SIGN, **{"n_bins": 12, "training": training, **settings})
+    split = Split(SplitKind.INTERLEAVED, 0, np.arange(n), *[np.empty(0, dtype=np.int64)] * 2)
+    chosen = SourceSettings(**{"n_bins": 12, "training": training, **settings})
+    return TrainingData(sequence, split, features_of(x), targets, SIGN, settings=chosen)
 
 
 def spoil(data, kept, value):
@@ -49,8 +52,7 @@ def spoil(data, kept, value):
     positions, quats = truth.positions_xyz.copy(), truth.orientations_quat_wxyz.copy()
     positions[others], quats[others] = 1e9, [0, 1, 0, 0]
     sequence = replace(data.sequence, poses=Trajectory(truth.timestamps_s, positions, quats))
-    settings = {name: getattr(data, name) for name in ("n_bins", "training", "depth_m")}
-    return SourceData(sequence, features, targets, data.sign_reference, **settings)
+    return replace(data, sequence=sequence, features=features, targets=targets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +67,7 @@ class Told:
     answers: SourceAnswer = field(default_factory=SourceAnswer)
 
     @classmethod
-    def fit(cls, data: SourceData, frames):
+    def fit(cls, data: TrainingData, frames):
         return cls(frames)
 
     def answer(self, evidence):

@@ -132,12 +132,12 @@ def test_a_source_of_ones_own_is_fitted_believed_saved_and_loaded(data_of, tmp_p
 
 
 def test_other_processes_get_the_data_and_the_matches_so_far(data_of, monkeypatch):
-    data, rng = data_of(100, progress=lambda *_: None), np.random.default_rng(0)
+    data, rng = replace(data_of(100), progress=lambda *_: None), np.random.default_rng(0)
     images = [LocalFeatures(np.zeros((9, 2)), rng.integers(0, 256, (9, 32), np.uint8), np.ones(3)) for _ in range(2)]
-    data._cache([3, 4], images)
-    matches = data.matcher(images[0], images[1:])
+    data._keep([3, 4], images)
+    matches = data.computed.matcher(images[0], images[1:])
     other = pickle.loads(pickle.dumps(data))
     monkeypatch.setattr("conformodal.features.local._best_pairs", None)  # matching again would fail
     one, two = other.local_features(np.array([3, 4]))
-    np.testing.assert_array_equal(other.matcher(one, [two]), matches)
+    np.testing.assert_array_equal(other.computed.matcher(one, [two]), matches)
     np.testing.assert_array_equal(other.features, data.features)

@@ -17,8 +17,9 @@ from conformodal.localizer.sources.registry import SourceAnswer, register_source
 from conformodal.pipeline import calibrate as calibrating
 from conformodal.pipeline.calibrate import calibrate_regions, compare_sources
 from conformodal.pipeline.config import Calibration, ModelConfig, OdometryError
+from conformodal.pipeline.folds import Fold, Folds
 from conformodal.pipeline.train import prepare_training_data, train_model
-from conformodal.pipeline.training_data import Fold, Folds
+from conformodal.tracking.depths import UNKNOWN_DEPTH
 from tests.localizer.conftest import Told
 
 BINS = QuantileBins.from_edges([np.linspace(-4, 4, 21)] * 7)
@@ -81,7 +82,7 @@ class Claims:
 def test_smaller_errors_that_claim_half_the_spread_are_reported(claimed, overconfident):
     """A final model with 20 % smaller errors keeps the guarantee only if it claims no smaller spread than it has."""
     targets = np.random.default_rng(0).uniform(-2, 2, (400, 7))
-    data = SimpleNamespace(features=targets, targets=targets, bins_of=lambda frames: BINS, depth_m=np.nan)
+    data = SimpleNamespace(features=targets, targets=targets, bins_of=lambda frames: BINS, depth=UNKNOWN_DEPTH)
     order, parts = np.arange(280), np.arange(280) // 56
     folds = Folds([Fold(order[parts != k], order[parts == k]) for k in range(5)], order, np.arange(400) // 7, order)
     localizers = [Claims(1.0, 1.0)] * 5
@@ -131,7 +132,7 @@ def test_frames_that_are_lost_do_not_calibrate_regions_from_posteriors(monkeypat
     rules = SimpleNamespace(overall=overall, known=every, recognised=every)
     folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), unit, unit)
     its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
-    data = SimpleNamespace(sequence=sequence, targets=np.zeros((n, 7)), split=SplitKind.BLOCKS)
+    data = SimpleNamespace(sequence=sequence, targets=np.zeros((n, 7)), split=SimpleNamespace(kind=SplitKind.BLOCKS))
     paths = calibrating.calibrate_paths(data, folds, [localizer], its, None, [None] * n)
     assert {path.longest_gap_s for path in paths.values()} == {0.3}
     online, hindsight = (paths[path].calibration for path in ("online", "hindsight"))

@@ -9,9 +9,9 @@ from conformodal.features.settings import TrainingConfig
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.config import Calibration, ModelConfig
+from conformodal.pipeline.folds import make_folds
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import prepare_training_data, train_model
-from conformodal.pipeline.training_data import make_folds
 
 
 @pytest.fixture(scope="module")

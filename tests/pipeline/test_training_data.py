@@ -10,11 +10,13 @@ from conformodal.features.local import ORB
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import matrix_from_quat_wxyz
 from conformodal.io import Recording, Split, SplitKind, make_split, read_recording
+from conformodal.localizer.training_data import TrainingData
 from conformodal.pipeline.config import Calibration
 from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.folds import make_folds
 from conformodal.pipeline.plain import train_plain
 from conformodal.pipeline.store import load_model, save_model
-from conformodal.pipeline.training_data import TrainingData, make_folds, match_depths, measure_depths
+from conformodal.tracking.depths import UNKNOWN_DEPTH, match_depth, track_depth
 
 
 def recorded(sizes):
@@ -85,7 +87,7 @@ def made_up(n=300):
     parts = np.split(np.arange(n), [n // 3, 2 * n // 3])
     sequence = SimpleNamespace(recording=np.zeros(n, dtype=np.int64), given_test=None)
     split = Split(SplitKind.INTERLEAVED, 0, *parts)
-    return TrainingData(sequence, split, None, features, targets, np.array([1.0, 0, 0, 0]))
+    return TrainingData(sequence, split, features, targets, np.array([1.0, 0, 0, 0]))
 
 
 def test_it_learns_from_training_and_calibration_part_and_from_no_test_frame():
@@ -114,24 +116,24 @@ def test_depths_of_redkitchen_are_those_of_a_kitchen_and_few_frames_say_nothing(
     sequence, asked, read = read_recording(redkitchen), [], Recording.image
     monkeypatch.setattr(Recording, "image", lambda its, i: asked.append(i) or read(its, i))
     frames = np.sort(np.random.default_rng(0).choice(1000, 640, replace=False))
-    depth, spread = measure_depths(sequence, frames)
+    depth = track_depth(sequence, frames)
     assert set(asked) <= set(frames.tolist())  # test frames are not looked at
     assert len(asked) <= 120
-    assert 1.4 < depth < 2.6
-    assert 0.1 <= spread < 0.6
+    assert 1.4 < depth.median_m < 2.6
+    assert 0.1 <= depth.log_spread < 0.6
     for frames in (np.arange(4), np.array([5]), np.array([], dtype=np.int64), np.arange(0, 1000, 200)):
-        assert np.isnan(measure_depths(sequence, frames)).all()
+        assert track_depth(sequence, frames) == UNKNOWN_DEPTH
 
 
 def test_where_no_corner_can_be_tracked_matches_give_the_same_depth(redkitchen):
     sequence = read_recording(redkitchen)
     sparse = np.arange(0, 1000, 30)
-    assert np.isnan(measure_depths(sequence, sparse)).all()
-    depth, spread = match_depths(sequence, sparse, ORB)
-    assert depth == pytest.approx(measure_depths(sequence, np.arange(1000))[0], rel=0.25)
-    assert 0.1 <= spread < 0.6
+    assert track_depth(sequence, sparse) == UNKNOWN_DEPTH
+    depth = match_depth(sequence, sparse, ORB)
+    assert depth.median_m == pytest.approx(track_depth(sequence, np.arange(1000)).median_m, rel=0.25)
+    assert 0.1 <= depth.log_spread < 0.6
     for frames in (np.arange(4), np.array([], dtype=np.int64)):  # neighbours have no parallax
-        assert np.isnan(match_depths(sequence, frames, ORB)).all()
+        assert match_depth(sequence, frames, ORB) == UNKNOWN_DEPTH
 
 
 def test_a_model_that_knows_no_depths_is_saved_and_answers(small_world, tmp_path):

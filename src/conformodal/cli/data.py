@@ -25,7 +25,7 @@ from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import lock_output, write_metrics
 from conformodal.pipeline.store import load_model, model_digest
 from conformodal.quality.advice import quality_record
-from conformodal.quality.examining import examine, scene_depth
+from conformodal.quality.examining import examine, median_depth
 
 from .console import AsJson, Group, OptionError, Quiet, print_json, print_where, progress_bars, report_line
 from .sources import (
@@ -180,6 +180,6 @@ def _report_overlaps(parts: list[Recording]) -> list[Overlap]:
             report_line(f"{part.name}: whether it overlaps with {first.name} is known only where both have poses")
             continue
         new = part if part.camera == first.camera else as_camera(part, first.camera)
-        overlaps.append(measure_overlap(first, new, scene_depth(first)))
+        overlaps.append(measure_overlap(first, new, median_depth(first)))
         report_line(overlaps[-1].describe(first.name, part.name), bold=overlaps[-1].frames_differ)
     return overlaps

@@ -25,7 +25,8 @@ from .candidates import Candidates, Mixture, fuse, mode_candidates
 from .evidence import FrameEvidence, PoseMeasurement
 from .observations import Posterior
 from .regions import Support
-from .sources.registry import CarriesLandmarks, PoseSource, SourceData, TurnsImages, find_source
+from .sources.registry import CarriesLandmarks, PoseSource, TurnsImages, find_source
+from .training_data import TrainingData
 
 _IMAGES_AT_A_TIME = 128  # seven times some thousand cells each
 _CELLS = 800  # per target, at least: estimates are more precise than bins
@@ -129,7 +130,7 @@ class Localizer:
             raise LocalizationError(f"a localizer needs sources of different names, at least one, got {names}")
 
     @classmethod
-    def fit_each(cls, data: SourceData, parts: Sequence[IntArray], names: Sequence[str]) -> list[Self]:
+    def fit_each(cls, data: TrainingData, parts: Sequence[IntArray], names: Sequence[str]) -> list[Self]:
         """A localizer for each part (m,) of the frames, which learns from it alone; without sources that cannot.
 
         Sources learn in threads, those that use local features from several parts at once, in workers if there are any:
@@ -148,7 +149,7 @@ class Localizer:
         localizers = []
         for k, frames in enumerate(parts):
             learnt = tuple(source for kind in kinds if (source := fitted[kind, k]) is not None)
-            localizers.append(cls(learnt, data.bins_of(frames), data.sign_reference, data.depth_m))
+            localizers.append(cls(learnt, data.bins_of(frames), data.sign_reference, data.depth.median_m))
         return localizers
 
     @property
@@ -242,7 +243,7 @@ class Localizer:
 
 
 def _fit(
-    data: SourceData, parts: Sequence[IntArray], job: tuple[type[PoseSource], Sequence[int]]
+    data: TrainingData, parts: Sequence[IntArray], job: tuple[type[PoseSource], Sequence[int]]
 ) -> list[PoseSource | None]:
     """A kind of sources that learns from parts of the frames, one after another."""
     kind, numbers = job

@@ -13,9 +13,8 @@ import numpy.typing as npt
 from conformodal.conformal import SplitConformal
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, Rows, evenly_spread, rows_by_label
 from conformodal.core.parallel import in_threads, raise_if_cancelled
-from conformodal.core.progress import StageProgress, stage_of
-from conformodal.features.backbone import Backbone
-from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.core.progress import stage_of
+from conformodal.features.extract import extract_features
 from conformodal.features.local import LocalFeatures, QualityRange
 from conformodal.geometry import RelativeMotion
 from conformodal.io import Disturbance, SplitKind
@@ -27,12 +26,12 @@ from conformodal.localizer.localizer import Beliefs, Localizer, belief_cells
 from conformodal.localizer.observations import MotionPrior, Observations, Posterior
 from conformodal.localizer.regions import EvidenceType, PlaceNovelty, RegionRules, pose_scores
 from conformodal.localizer.rooms import Rooms, part_of
-from conformodal.localizer.sources.registry import SourceData
+from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.motions import frame_features, turned_features
 
 from .config import ModelConfig, OdometryError
+from .folds import Folds
 from .model import HINDSIGHT, ONLINE, PATHS, PathRule, SourceComparison, path_rule
-from .training_data import Folds
 
 _MAX_COMPARED = 120  # each is answered twice
 _MAX_DISTURBED, _DISTURBED_SEED = 200, 0  # calibration frames, and the seed of kinds and strengths
@@ -55,7 +54,7 @@ class CalibratedRegions:
 
 
 def calibrate_regions(
-    data: SourceData,
+    data: TrainingData,
     folds: Folds,
     localizers: Sequence[Localizer],
     novelty: PlaceNovelty | None,
@@ -69,7 +68,7 @@ def calibrate_regions(
     """
     pairs = list(zip(folds.folds, localizers, strict=True))
     for fold, localizer in pairs:
-        _check_unseen(localizer, fold.held_out)
+        check_unseen(localizer, fold.held_out)
     local = all(localizer.local for localizer in localizers)
     carries = local and any(by.carrying_source is not None for by in localizers)
     if local and folds.units is not None and (carries or not data.detector.rotation_invariant):
@@ -90,7 +89,7 @@ def calibrate_regions(
     level = 0.0 if novelty is None else novelty.level(config.novelty_level)
     recognised = np.concatenate([one.recognised for one in beliefs]) if local else None
     units = None if folds.units is None else folds.units[folds.held_out]
-    cells = belief_cells(data.bins_of(folds.region_frames), data.depth_m)
+    cells = belief_cells(data.bins_of(folds.region_frames), data.depth.median_m)
     rule = SplitConformal(cells, config.alpha, config.score, config.joint)
     scale: npt.ArrayLike = 1.0
     if getattr(rule.score_, "per_unit", False) and rule.joint == "max":
@@ -107,12 +106,12 @@ def calibrate_regions(
     return CalibratedRegions(rules, novelty, beliefs)
 
 
-def _evidence(data: SourceData, frames: IntArray, *, local: bool) -> FrameEvidence:
+def _evidence(data: TrainingData, frames: IntArray, *, local: bool) -> FrameEvidence:
     return FrameEvidence(data.features[frames], data.local_features(frames) if local else ())
 
 
 def beliefs_of_streams(
-    data: SourceData,
+    data: TrainingData,
     units: IntArray,
     motions: dict[int, RelativeMotion | None],
     held_out: IntArray,
@@ -151,7 +150,7 @@ def _out_of_range(localizer: Localizer, beliefs: Beliefs) -> BoolArray:
 
 
 def _novelty_of_held_out(
-    novelty: PlaceNovelty, folds: Folds, data: SourceData, beliefs: Sequence[Beliefs] | None
+    novelty: PlaceNovelty, folds: Folds, data: TrainingData, beliefs: Sequence[Beliefs] | None
 ) -> tuple[PlaceNovelty, FloatArray]:
     """p-values of the calibration frames, and the test; with beliefs, the test of images with local features too."""
     held_out, test = folds.held_out, novelty.test
@@ -179,13 +178,7 @@ class _Disturbed(Rows):
 
 
 def calibrate_disturbed(
-    data: SourceData,
-    backbone: Backbone,
-    cache: FeatureCache,
-    folds: Folds,
-    localizers: Sequence[Localizer],
-    calibrated: CalibratedRegions,
-    progress: StageProgress | None = None,
+    data: TrainingData, folds: Folds, localizers: Sequence[Localizer], calibrated: CalibratedRegions
 ) -> CalibratedRegions:
     """Calibrate the evidence type of disturbed images, on copies of held-out frames that are disturbed at random.
 
@@ -206,8 +199,8 @@ def calibrate_disturbed(
         if not left.any():
             continue
         frames, copies = frames[left], [one for one, counts in zip(copies, left, strict=True) if counts]
-        paths, stage = [sequence.image_paths[i] for i in frames], stage_of(progress, "disturbed images")
-        features = extract_features(paths, backbone, cache, stage, sequence.noise)
+        paths, stage = [sequence.image_paths[i] for i in frames], stage_of(data.progress, "disturbed images")
+        features = extract_features(paths, data.require_backbone(), data.cache, stage, sequence.noise)
         evidence = FrameEvidence(features, copies)
         beliefs = localizer.beliefs(evidence)
         distances = novelty.distances(evidence, None if folds.units is None else folds.pieces[frames])
@@ -245,7 +238,7 @@ class _Scored(Rows):
 
 
 def calibrate_paths(
-    data: SourceData,
+    data: TrainingData,
     folds: Folds,
     localizers: Sequence[Localizer],
     calibrated: CalibratedRegions,
@@ -263,7 +256,7 @@ def calibrate_paths(
     They calibrate streams of about as many other frames drawn so: with more frames a second, posteriors are sharper.
     Where frames calibrate but stretches are held out, there are no such rules.
     """
-    if folds.units is None and data.split is not SplitKind.INTERLEAVED:
+    if folds.units is None and data.split.kind is not SplitKind.INTERLEAVED:
         return {}
     rules, units = calibrated.rules, folds.units
     streams = data.sequence.recording if units is None else units
@@ -310,7 +303,7 @@ def _path_rule(overall: SplitConformal, parts: list[_Scored], units: IntArray | 
 
 
 def compare_sources(
-    data: SourceData,
+    data: TrainingData,
     localizers: Sequence[Localizer],
     localizer: Localizer,
     novelty: PlaceNovelty | None,
@@ -353,7 +346,7 @@ def compare_sources(
     )
 
 
-def _check_unseen(localizer: Localizer, held_out: IntArray) -> None:
+def check_unseen(localizer: Localizer, held_out: IntArray) -> None:
     """Refuse sources that have seen calibration frames: their scores are too low, which voids the guarantee."""
     for source in localizer.sources:
         learnt = np.intersect1d(source.frames, held_out)
@@ -363,12 +356,3 @@ def _check_unseen(localizer: Localizer, held_out: IntArray) -> None:
                 f"{len(held_out)} frames in all that it is to be calibrated on; a source may look at the "
                 "frames alone that its fit is given"
             )
-
-
-def paper_rules(data: SourceData, held_out: IntArray, localizer: Localizer, config: ModelConfig) -> RegionRules:
-    """The paper's calibration (section 2): bins of the softmax, each target at alpha, one evidence type."""
-    _check_unseen(localizer, held_out)
-    proba = localizer.beliefs(FrameEvidence(data.features[held_out])).proba
-    rule = SplitConformal(localizer.bins, config.alpha, config.score, config.joint)
-    rule.calibrate(proba, data.targets[held_out])
-    return RegionRules(rule, None, np.ones(len(held_out)), 0.0)

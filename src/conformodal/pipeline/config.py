@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Literal, Self
 
@@ -14,6 +14,7 @@ from conformodal.features.local import DETECTORS
 from conformodal.features.settings import TrainingConfig, check_network
 from conformodal.io import SplitKind
 from conformodal.localizer.sources.registry import find_source
+from conformodal.localizer.training_data import SourceSettings
 
 
 class OdometryError(ConformodalError):
@@ -103,11 +104,10 @@ class ModelConfig:
         defaults = {**_PAPER, "split": SplitKind.INTERLEAVED, "training": training}
         return cls(**{**defaults, **settings, "method": Method.PAPER})
 
-    def record(self, data: str, n_frames: int, calibrate_on: str) -> dict[str, Any]:
-        """As a model stores them, without alpha and the novelty level, which can change later."""
-        names = {"method": str(self.method), "split": str(self.split), "calibrate_on": calibrate_on}
-        fixed = {k: v for k, v in asdict(self).items() if k not in ("alpha", "novelty_level")}
-        return {**fixed, **names, "data": data, "n_frames": n_frames}
+    @property
+    def for_sources(self) -> SourceSettings:
+        """Those of pose sources."""
+        return SourceSettings(self.n_bins, self.margin, self.sigma_bins, self.training)
 
 
 _CHOICES: dict[str, type[StrEnum]] = {"method": Method, "split": SplitKind, "calibrate_on": Calibration}

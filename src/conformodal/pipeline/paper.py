@@ -11,21 +11,55 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from conformodal.conformal import SplitConformal
 from conformodal.core.arrays import Float32Array, FloatArray, UInt8Array
 from conformodal.geometry import RelativeMotion
 from conformodal.localizer.candidates import BinRuns, interval_candidates, interval_runs
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.observations import PosePath
-from conformodal.localizer.regions import EvidenceType, Support, pose_regions
+from conformodal.localizer.localizer import Localizer
+from conformodal.localizer.observations import PosePath, fit_motion_prior
+from conformodal.localizer.regions import EvidenceType, RegionRules, Support, pose_regions
+from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.tracker import EssentialFrontEnd
 
-from .config import Method, OdometryError
+from .calibrate import check_unseen
+from .config import Method, ModelConfig, OdometryError
 from .estimates import Estimate
-from .model import PAPERS_METHOD, Localization, PoseModel
+from .folds import make_folds, settings_record
+from .identity import identify
+from .model import PAPERS_METHOD, ExpectedInput, Localization, PoseModel
 from .odometry import InputWatch, Odometry
 from .stream import as_trajectory
 
 _MIN_NORM = 1e-6
+
+
+def train_paper(data: TrainingData, config: ModelConfig) -> PoseModel:
+    """Train and calibrate the paper's system (section 2): one evidence type, no novelty test, no regions of paths.
+
+    Each target is calibrated at alpha by itself, on the sets of bins that its softmax gives.
+    """
+    folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
+    [fold] = folds.folds
+    [localizer] = Localizer.fit_each(data, [fold.train], config.sources)
+    check_unseen(localizer, fold.held_out)
+    proba = localizer.beliefs(FrameEvidence(data.features[fold.held_out])).proba
+    rule = SplitConformal(localizer.bins, config.alpha, config.score, config.joint)
+    rule.calibrate(proba, data.targets[fold.held_out])
+    train = data.split.train
+    return PoseModel(
+        backbone=data.require_backbone(),
+        localizer=localizer,
+        novelty=None,
+        rules=RegionRules(rule, None, np.ones(len(fold.held_out)), 0.0),
+        prior=fit_motion_prior(data.sequence.require_truth()[train], data.sequence.recording[train]),
+        camera=data.sequence.camera,
+        split=data.split,
+        known_frames=identify(data.sequence),
+        expected_input=ExpectedInput.of(data.sequence),
+        configuration=settings_record(config, data.sequence, folds),
+        detector=data.detector,
+    )
 
 
 class PaperOdometry(Odometry):

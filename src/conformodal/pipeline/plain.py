@@ -14,8 +14,7 @@ from conformodal.core.arrays import Float32Array, FloatArray, IntArray
 from conformodal.features.heads import Head, fit_head, mean_squared_error, predict_values
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory, normalise_quat
-
-from .training_data import TrainingData
+from conformodal.localizer.training_data import TrainingData
 
 _MIN_SCALE = 1e-6  # of a target that does not vary
 

@@ -11,7 +11,7 @@ from conformodal.core.extras import require_extra
 from conformodal.core.files import default_cache_dir
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.geometry import RelativeMotion, sign_reference
+from conformodal.geometry import sign_reference
 from conformodal.io import Recording, make_split, with_random_calibration
 from conformodal.io.recording import join_recordings
 from conformodal.localizer.candidates import pose_targets
@@ -20,19 +20,15 @@ from conformodal.localizer.observations import fit_motion_prior
 from conformodal.localizer.regions import PlaceNovelty
 from conformodal.localizer.rooms import Rooms
 from conformodal.localizer.sources.registry import find_source
+from conformodal.localizer.training_data import TrainingData
+from conformodal.tracking.depths import UNKNOWN_DEPTH, scene_depth
 
-from .calibrate import (
-    CalibratedRegions,
-    calibrate_disturbed,
-    calibrate_paths,
-    calibrate_regions,
-    compare_sources,
-    paper_rules,
-)
+from .calibrate import calibrate_disturbed, calibrate_paths, calibrate_regions, compare_sources
 from .config import Method, ModelConfig, OdometryError
+from .folds import make_folds, settings_record
 from .identity import identify
-from .model import ExpectedInput, PathRule, PoseModel
-from .training_data import TrainingData, make_folds
+from .model import ExpectedInput, PoseModel
+from .paper import train_paper
 
 
 def prepare_training_data(
@@ -43,7 +39,7 @@ def prepare_training_data(
         from conformodal.features.export import make_backbone, make_detector  # noqa: PLC0415
         from conformodal.features.networks import backbone_config  # noqa: PLC0415
 
-    truth = sequence.require_truth()
+    truth, paper = sequence.require_truth(), config.method is Method.PAPER
     split = make_split(
         sequence.recording,
         config.split,
@@ -53,15 +49,28 @@ def prepare_training_data(
         used=config.used,
         given_test=sequence.given_test,
     )
-    if config.method is Method.PAPER:
+    if paper:
         split = with_random_calibration(split, config.calibration / (config.used or 1 - config.test))
     size = sequence.camera.width, sequence.camera.height
-    network = backbone_config(*size, config.network, whole=config.method is Method.PAPER)
+    network = backbone_config(*size, config.network, whole=paper)
     backbone, detector = make_backbone(network, cache), make_detector(config.features, sequence.camera, cache)
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])
     targets = pose_targets(truth, reference)
     features = extract_features(sequence.image_paths, backbone, cache, stage_of(progress, "features"), sequence.noise)
-    return TrainingData(sequence, split, backbone, features, targets, reference, cache, detector)
+    return TrainingData(
+        sequence,
+        split,
+        features,
+        targets,
+        reference,
+        backbone=backbone,
+        cache=cache,
+        detector=detector,
+        depth=UNKNOWN_DEPTH if paper else scene_depth(sequence, split.train, detector),
+        settings=config.for_sources,
+        progress=progress,
+        grid=network.grid,
+    )
 
 
 def train_model(
@@ -94,53 +103,51 @@ def train_model(
         )
     if data.detector.name != config.features:
         raise OdometryError(f"features are {config.features!r}, those of the data {data.detector.name!r}")
-    folds = make_folds(data.sequence, data.split, config.calibrate_on, config.alpha)
-    sources = data.for_sources(config, progress)
+    if (data.settings, data.progress) != (config.for_sources, progress):
+        data = replace(data, settings=config.for_sources, progress=progress)
+    return train_paper(data, config) if config.method is Method.PAPER else _train(data, config)
+
+
+def _train(data: TrainingData, config: ModelConfig) -> PoseModel:
+    """Train and calibrate this project's system."""
+    sequence, split = data.sequence, data.split
+    folds = make_folds(sequence, split, config.calibrate_on, config.alpha)
     parts = [fold.train for fold in folds.folds]
     if len(parts) > 1 or not np.array_equal(parts[0], folds.region_frames):
         parts.append(folds.region_frames)
-    motions: dict[int, RelativeMotion | None] = {}
     local = any(find_source(name).local for name in config.sources)
     stretches = folds.units is not None
-    if config.method is not Method.PAPER and stretches:
-        motions = sources.run_front_end(np.union1d(folds.region_frames, folds.held_out), local=local, motions=True)
-    elif config.method is not Method.PAPER:
-        if local:
-            sources.run_front_end(folds.region_frames, local=True, motions=False)
-        motions = sources.run_front_end(folds.held_out, local=local, motions=True)
-    *localizers, localizer = Localizer.fit_each(sources, parts, config.sources)
-    localizers, train = localizers or [localizer], data.split.train
-    prior = fit_motion_prior(data.sequence.require_truth()[train], data.sequence.recording[train])
-    if config.method is not Method.PAPER:
-        depth_m, depth_spread = data.depths
-        prior = replace(prior, depth_m=depth_m, depth_spread=depth_spread)
-    path_rules: dict[str, PathRule] = {}
-    rooms: Rooms | None = None
-    if config.method is Method.PAPER:  # without a novelty test
-        regions = CalibratedRegions(paper_rules(sources, folds.held_out, localizer, config), None, [])
+    if stretches:
+        motions = data.run_front_end(np.union1d(folds.region_frames, folds.held_out), local=local, motions=True)
     else:
-        features, pieces = data.features[folds.region_frames], folds.pieces[folds.region_frames]
-        novelty = PlaceNovelty.fit(features, pieces, data.backbone.config.grid)
-        known = folds.region_frames
-        rooms = Rooms.of(data.targets[known, :3], data.sequence.recording[known], data.depths[0])
-        frames_alone = calibrate_regions(sources, folds, localizers, novelty, config, motions, rooms)
-        path_rules = calibrate_paths(sources, folds, localizers, frames_alone, prior, motions, rooms)
-        regions = calibrate_disturbed(sources, data.backbone, data.cache, folds, localizers, frames_alone, progress)
-    rules, novelty = regions.rules, regions.novelty
-    test = data.split.test
+        if local:
+            data.run_front_end(folds.region_frames, local=True, motions=False)
+        motions = data.run_front_end(folds.held_out, local=local, motions=True)
+    *localizers, localizer = Localizer.fit_each(data, parts, config.sources)
+    localizers = localizers or [localizer]
+    prior = fit_motion_prior(sequence.require_truth()[split.train], sequence.recording[split.train])
+    prior = replace(prior, depth_m=data.depth.median_m, depth_spread=data.depth.log_spread)
+    known, backbone = folds.region_frames, data.require_backbone()
+    novelty = PlaceNovelty.fit(data.features[known], folds.pieces[known], backbone.config.grid)
+    rooms = Rooms.of(data.targets[known, :3], sequence.recording[known], data.depth.median_m)
+    frames_alone = calibrate_regions(data, folds, localizers, novelty, config, motions, rooms)
+    path_rules = calibrate_paths(data, folds, localizers, frames_alone, prior, motions, rooms)
+    regions = calibrate_disturbed(data, folds, localizers, frames_alone)
+    comparison = None
+    if stretches:
+        comparison = compare_sources(data, localizers, localizer, regions.novelty, regions.rules, split.test, rooms)
     return PoseModel(
-        backbone=data.backbone,
+        backbone=backbone,
         localizer=localizer,
-        novelty=novelty,
-        rules=rules,
+        novelty=regions.novelty,
+        rules=regions.rules,
         prior=prior,
-        camera=data.sequence.camera,
-        split=data.split,
-        known_frames=identify(data.sequence),
-        expected_input=ExpectedInput.of(data.sequence),
-        configuration=config.record(data.sequence.name, len(data.sequence), "stretches" if stretches else "frames")
-        | {"whole_recordings": folds.whole_recordings, "unit": data.sequence.unit},
-        comparison=compare_sources(sources, localizers, localizer, novelty, rules, test, rooms) if stretches else None,
+        camera=sequence.camera,
+        split=split,
+        known_frames=identify(sequence),
+        expected_input=ExpectedInput.of(sequence),
+        configuration=settings_record(config, sequence, folds),
+        comparison=comparison,
         path_rules=path_rules,
         quality=regions.quality,
         detector=data.detector,

@@ -17,7 +17,7 @@ from conformodal.localizer.evidence import FrameEvidence
 from conformodal.pipeline.guarantee import EvidenceGuarantee, guarantees
 from conformodal.pipeline.identity import identify
 from conformodal.pipeline.model import PoseModel
-from conformodal.pipeline.training_data import scene_depths
+from conformodal.tracking.depths import scene_depth
 from conformodal.tracking.motions import frame_features
 
 from .view_coverage import QUALITY, Ambiguity, PoseCoverage, ViewScale, ambiguity, pose_coverage
@@ -64,7 +64,7 @@ def examine(
     """
     posed, poses, recording = sequence.posed, sequence.poses, sequence.recording
     if model is None:
-        trained, views, depth_m = posed, poses, scene_depth(sequence)
+        trained, views, depth_m = posed, poses, median_depth(sequence)
     else:
         model.check_camera(sequence.camera)
         trained = frames = model.localizer.frames
@@ -89,10 +89,10 @@ def examine(
     return RecordingQuality(sequence, posed, poses, trained, scale, coverage, places, guarantees(model))
 
 
-def scene_depth(sequence: Recording) -> float:
+def median_depth(sequence: Recording) -> float:
     """Median depth in metres of what the camera sees, from images and poses; NaN where it cannot be told."""
     with suppress(ImageError, PoseError):
-        return scene_depths(sequence, np.arange(len(sequence)))[0]
+        return scene_depth(sequence, np.arange(len(sequence))).median_m
     return float("nan")
 
 

@@ -8,13 +8,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Trajectory
-from conformodal.io import Recording
+from conformodal.io import Recording, Split, SplitKind
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.sources.landmarks import LandmarkSource
-from conformodal.localizer.sources.registry import SourceData, SourceState
+from conformodal.localizer.sources.registry import SourceState
+from conformodal.localizer.training_data import TrainingData
+from conformodal.tracking.depths import SceneDepth
 
 N = 60
 FRAMES = np.flatnonzero(np.arange(N) % 4 != 1)
+ANY_SPLIT = Split(SplitKind.INTERLEAVED, 0, FRAMES, np.arange(1, N, 4), np.empty(0, dtype=np.int64))
 
 
 @pytest.fixture
@@ -28,7 +31,7 @@ def looked_at(world, monkeypatch):
     asked, features = [], world.local_features()
     monkeypatch.setattr(Recording, "image", lambda self, i: i)
     monkeypatch.setattr(
-        "conformodal.localizer.sources.registry.frame_features",
+        "conformodal.localizer.training_data.frame_features",
         lambda sequence, i, detector: asked.append(i) or features[i],
     )
     # errors learnt from fewer frames: a third of the time
@@ -36,12 +39,13 @@ def looked_at(world, monkeypatch):
     return asked
 
 
-def data_of(poses_se3, camera, depth_m, **settings):
+def data_of(poses_se3, camera, depth_m):
     quats = Rotation.from_matrix(poses_se3[:, :3, :3]).as_quat(scalar_first=True)
     times, paths = np.arange(N) / 10, tuple(Path(f"{i}.png") for i in range(N))
     truth = Trajectory(times, poses_se3[:, :3, 3], quats)
     sequence = Recording("points", paths, times, np.zeros(N, np.int64), camera, truth)
-    return SourceData(sequence, np.zeros((N, 1), np.float32), np.zeros((N, 7)), quats[0], depth_m=depth_m, **settings)
+    nothing = np.zeros((N, 1), np.float32), np.zeros((N, 7))
+    return TrainingData(sequence, ANY_SPLIT, *nothing, quats[0], depth=SceneDepth(depth_m))
 
 
 @pytest.mark.slow

@@ -10,8 +10,8 @@ from conformodal.geometry import Trajectory, sign_reference
 from conformodal.io import make_split
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.sources.landmarks import LandmarkSource
-from conformodal.localizer.sources.registry import SourceData
-from conformodal.pipeline.training_data import measure_depths
+from conformodal.localizer.training_data import TrainingData
+from conformodal.tracking.depths import SceneDepth, track_depth
 
 pytestmark = pytest.mark.slow  # maps a corridor
 
@@ -21,8 +21,8 @@ def data_of(sequence, split, depth_m=None):
     truth = sequence.require_truth()
     reference = sign_reference(truth.orientations_quat_wxyz)
     features = np.zeros((len(sequence), 1), dtype=np.float32)
-    depth = measure_depths(sequence, split.train)[0] if depth_m is None else depth_m
-    return SourceData(sequence, features, pose_targets(truth, reference), reference, split.kind, depth)
+    depth = track_depth(sequence, split.train) if depth_m is None else SceneDepth(depth_m)
+    return TrainingData(sequence, split, features, pose_targets(truth, reference), reference, depth=depth)
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,9 @@ from conformodal.core.progress import stage_of
 from conformodal.core.schema import ArraySpec
 from conformodal.features.head import SoftmaxHead
 from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.training_data import TrainingData
 
-from .registry import SourceAnswer, SourceData, SourceState, register_source
+from .registry import SourceAnswer, SourceState, register_source
 
 _ARRAYS = {
     "offset": ArraySpec("f", ("n_features",)),
@@ -43,7 +44,7 @@ class HeadSource:
     frames: IntArray
 
     @classmethod
-    def fit(cls, data: SourceData, frames: IntArray) -> Self:
+    def fit(cls, data: TrainingData, frames: IntArray) -> Self:
         """Train on order-aware labels, or one-hot ones where ``sigma_bins`` is 0."""
         with require_extra("train", "training"):
             from conformodal.features.heads import fit_head, soft_cross_entropy  # noqa: PLC0415
@@ -51,11 +52,11 @@ class HeadSource:
         bins = data.bins_of(frames)
         head = fit_head(
             data.features[frames],
-            np.concatenate(bins.soft_targets(data.targets[frames], data.sigma_bins), axis=1),
+            np.concatenate(bins.soft_targets(data.targets[frames], data.settings.sigma_bins), axis=1),
             bins.sizes,
             soft_cross_entropy,
-            data.training,
-            projection=data.projection(frames, data.training.components),
+            data.settings.training,
+            projection=data.projection(frames, data.settings.training.components),
             progress=stage_of(data.progress, "training"),
         )
         return cls(head.trained(), frames)

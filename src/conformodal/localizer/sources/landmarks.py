@@ -29,9 +29,10 @@ from conformodal.localizer.evidence import (
     PoseMeasurement,
     fit_error_model,
 )
+from conformodal.localizer.training_data import TrainingData
 
 from .landmark_map import LandmarkMap
-from .registry import SourceAnswer, SourceData, SourceState, register_source
+from .registry import SourceAnswer, SourceState, register_source
 
 _ARRAYS = {
     "T_pose_cam": ArraySpec("d", (4, 4)),
@@ -88,21 +89,21 @@ class LandmarkSource:
         }
 
     @classmethod
-    def fit(cls, data: SourceData, frames: IntArray) -> Self | None:
+    def fit(cls, data: TrainingData, frames: IntArray) -> Self | None:
         """Map the frames; None where the scene's depth is not known, or too few frames can be localised."""
-        if not np.isfinite(data.depth_m) or len(frames) < MIN_ESTIMATES:
+        if not np.isfinite(data.depth.median_m) or len(frames) < MIN_ESTIMATES:
             return None
         pieces = data.stretches if len(np.unique(data.pieces[frames])) < 2 else data.pieces
         positions = data.sequence.require_truth().positions_xyz
-        chosen = frames[_keyframes(positions[frames], _AREA * data.depth_m)]
+        chosen = frames[_keyframes(positions[frames], _AREA * data.depth.median_m)]
         features, truth = data.local_features(chosen), data.sequence.require_truth()[chosen]
         left_out, report = evenly_spread(len(chosen), _LEFT_OUT), stage_of(data.progress, "landmarks")
 
         def done(before: int) -> Progress | None:
             return None if report is None else lambda n, _: report(before + n, len(chosen) + len(left_out))
 
-        camera, depth_m = data.sequence.camera, data.depth_m
-        landmarks = LandmarkMap.build(features, truth.poses_se3, camera, depth_m, done(0), data.matcher)
+        camera, depth_m = data.sequence.camera, data.depth.median_m
+        landmarks = LandmarkMap.build(features, truth.poses_se3, camera, depth_m, done(0), data.computed.matcher)
         groups = pieces[chosen], data.stretches[chosen]
         errors = _fit_errors(landmarks, features, truth, groups, left_out, done(len(chosen)))
         grid = None if data.detector.describes_images else data.grid

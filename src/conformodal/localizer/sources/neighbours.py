@@ -21,8 +21,9 @@ from conformodal.features.backbone import feature_views
 from conformodal.features.head import Projection, fit_projection
 from conformodal.geometry import angle_between_quats, normalise_quat
 from conformodal.localizer.evidence import ErrorModel, FrameEvidence, HeldOutErrors, PoseMeasurement, fit_error_model
+from conformodal.localizer.training_data import TrainingData
 
-from .registry import SourceAnswer, SourceData, SourceState, register_source
+from .registry import SourceAnswer, SourceState, register_source
 
 _CHUNK = 256  # queries at once: their neighbours' features are copied
 _PLACES = 4  # answers at most, one per place
@@ -229,7 +230,7 @@ class NeighbourSource:
     least_sigma_m: float  # that it states of images: of left-out frames, nine in ten have a larger one
 
     @classmethod
-    def fit(cls, data: SourceData, frames: IntArray) -> Self | None:
+    def fit(cls, data: TrainingData, frames: IntArray) -> Self | None:
         """Choose the settings of the regression by leaving pieces out; None where there is only one piece."""
         features, targets, pieces = data.features[frames], data.targets[frames], data.pieces[frames]
         if len(np.unique(pieces)) < 2 or not np.ptp(features, axis=0).any():

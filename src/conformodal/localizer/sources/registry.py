@@ -7,112 +7,24 @@ class with the members of :class:`PoseSource`, registered with :func:`register_s
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
 from importlib import import_module
-from threading import Lock
 from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
-from conformodal.conformal import QuantileBins
-from conformodal.core.arrays import AnyArray, Float32Array, FloatArray, IntArray, RealArray
-from conformodal.core.parallel import in_threads
-from conformodal.core.progress import StageProgress, stage_of
+from conformodal.core.arrays import AnyArray, FloatArray, IntArray, RealArray
 from conformodal.core.schema import ArraySchema, ArraySpec, check_arrays, check_json
-from conformodal.features.backbone import at_unit_length, coarse_features, feature_views
-from conformodal.features.head import Projection, fit_projection
-from conformodal.features.local import ORB, Detector, LocalFeatures, Matcher
-from conformodal.features.settings import TrainingConfig
-from conformodal.geometry import RelativeMotion
-from conformodal.io import Recording, SplitKind, held_out_together
+from conformodal.features.local import LocalFeatures
 from conformodal.localizer import LocalizationError
 from conformodal.localizer.evidence import FrameEvidence, LandmarkView, PoseMeasurement
-from conformodal.tracking.motions import frame_features, run_front_end
-
-
-@dataclass(eq=False)
-class SourceData:
-    """The training frames, as pose sources see them. A source uses only the frames that it is fitted on."""
-
-    sequence: Recording  # with poses
-    features: Float32Array  # (n, F) of all frames
-    targets: FloatArray  # (n, 7), see conformodal.localizer.candidates.pose_targets
-    sign_reference: FloatArray  # (4,) quaternion that fixes the signs of quaternions
-    # how frames are held out, which decides what is left out together to learn the sizes of errors
-    split: SplitKind = SplitKind.INTERLEAVED
-    depth_m: float = math.nan  # median depth of what the camera sees; NaN where it is not known
-    # rows and columns of the network's map, which retrieves places unless local features do; None: thumbnails do
-    grid: tuple[int, int] | None = None
-    n_bins: int = 50
-    margin: float = 0.02  # of the bins
-    sigma_bins: float = 0.7  # of order-aware labels
-    training: TrainingConfig = field(default_factory=TrainingConfig)  # of networks
-    progress: StageProgress | None = None
-    detector: Detector = ORB  # of local features
-    matcher: Matcher = field(default_factory=Matcher)
-    _local_features: dict[int, LocalFeatures] = field(default_factory=dict)
-    _extracting: Lock = field(default_factory=Lock)
-    _projections: dict[tuple[bytes, int | None], Projection] = field(default_factory=dict)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What other processes need; they report no progress."""
-        return vars(self) | {"_extracting": None, "progress": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state | {"_extracting": Lock()})
-
-    def bins_of(self, frames: IntArray) -> QuantileBins:
-        """Bins of the targets of some frames."""
-        return QuantileBins(self.n_bins, self.margin).fit(self.targets[frames])
-
-    @cached_property
-    def pieces(self) -> IntArray:
-        """(n,) labels: frames with the same label are left out together, as the split holds them out."""
-        return held_out_together(self.sequence.recording, self.split, given_test=self.sequence.given_test)
-
-    @cached_property
-    def stretches(self) -> IntArray:
-        """(n,) labels of contiguous stretches."""
-        return held_out_together(self.sequence.recording, SplitKind.BLOCKS)
-
-    def projection(self, frames: IntArray, components: int | None) -> Projection:
-        """Principal components of the network's map of some frames, cached."""
-        key = (frames.tobytes(), components)
-        if key not in self._projections:
-            view = feature_views(self.features.shape[1]).network
-            self._projections[key] = fit_projection(self.features[frames], components, view)
-        return self._projections[key]
-
-    def run_front_end(self, frames: IntArray, *, local: bool, motions: bool) -> dict[int, RelativeMotion | None]:
-        """Motion to each of some frames from the one before, if wanted; `local` caches their local features."""
-        missing = [i for i in frames.tolist() if i not in self._local_features] if local else []
-        report = stage_of(self.progress, "frames")
-        looks = run_front_end(self.sequence, frames, self.detector if missing else None, report, motions=motions)
-        self._cache(missing, [looks.features[i] for i in missing])
-        return looks.motions
-
-    def local_features(self, frames: IntArray) -> list[LocalFeatures]:
-        """Local features of some frames, cached."""
-        report = stage_of(self.progress, "local features")
-        with self._extracting:  # sources that learn at the same time share them
-            missing = [i for i in frames.tolist() if i not in self._local_features]
-            extract = partial(frame_features, self.sequence, detector=self.detector)
-            self._cache(missing, in_threads(extract, missing, report))
-        return [self._local_features[i] for i in frames.tolist()]
-
-    def _cache(self, frames: Sequence[int], features: Sequence[LocalFeatures]) -> None:
-        if frames and self.grid is not None and not self.detector.describes_images:
-            maps = at_unit_length(coarse_features(self.features[frames], self.grid))
-            features = [one._replace(global_descriptor=row) for one, row in zip(features, maps, strict=True)]
-        self._local_features.update(zip(frames, features, strict=True))
+from conformodal.localizer.training_data import TrainingData
 
 
 @dataclass(frozen=True, eq=False)
 class SourceAnswer:
     """A source's estimates of n images: probabilities of bins, absolute pose estimates, or both."""
 
-    # seven arrays (n, K_j) over the source's bins, see SourceData.bins_of; None from a source without them
+    # seven arrays (n, K_j) over the source's bins, see TrainingData.bins_of; None from a source without them
     proba: list[RealArray] | None = None
     measurements: Sequence[Sequence[PoseMeasurement]] = ()  # image by image; of several of one, at most one is right
 
@@ -156,7 +68,7 @@ class PoseSource(Protocol):
         ...
 
     @classmethod
-    def fit(cls, data: SourceData, frames: IntArray) -> Self | None:
+    def fit(cls, data: TrainingData, frames: IntArray) -> Self | None:
         """Learn from `frames` (m,) of the data and from no other; None where it cannot be fitted on them."""
         ...
 
