@@ -6,7 +6,7 @@ READY := $(VENV)/.ready
 DEV := $(VENV)/.ready-dev
 DOCS := $(VENV)/.ready-docs
 OLDEST := .venv-oldest
-# The CPU build of torch: the default one brings gigabytes of CUDA. For a GPU set TORCH_INDEX to another index. The
+# The CPU build of torch, which tests need: the default one brings gigabytes of CUDA. For a GPU set TORCH_INDEX. The
 # version is one that every test has run with: where an index is not reached, a range could bring the CUDA build.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH ?= torch==2.13.0
@@ -62,12 +62,12 @@ $(READY): pyproject.toml
 	@$(PYTHON) -c 'import venv, ensurepip' || { echo "Python's venv module is missing; on Debian: apt install python3-venv"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
-	$(BIN)/python -m pip install --quiet --no-deps --retries 1 --index-url $(TORCH_INDEX) "$(TORCH)"
 	$(BIN)/python -m pip install --quiet --editable '.[train]'
 	@touch $(READY)
 
 # what tests, linters and optional extras need on top
 $(DEV): $(READY) pyproject.toml
+	$(BIN)/python -m pip install --quiet --no-deps --retries 1 --index-url $(TORCH_INDEX) "$(TORCH)"
 	$(BIN)/python -m pip install --quiet --editable '.[all]' --group dev
 	@touch $(DEV)
 

@@ -12,11 +12,10 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch: two trainings side by side
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # two trainings side by side
 
 import cv2
 import numpy as np
-import torch
 from common import (
     RUNS,
     cached_json,
@@ -51,7 +50,6 @@ Frames = dict[str, dict[str, Any]]
 
 def measured(world: str, seed: int, variant: str) -> dict[str, Any]:
     """Frames of a variant, and for ours what motion and the filter give, and disturbed images."""
-    torch.set_num_threads(1)
     cv2.setNumThreads(1)
     lab = Laboratory(world, seed)
     model = lab.model(variant)

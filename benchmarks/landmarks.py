@@ -21,7 +21,7 @@ from common import DATA, parser_of, write_table
 
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.files import default_cache_dir
-from conformodal.features import export
+from conformodal.features import networks
 from conformodal.features.backbone import at_unit_length, coarse_features
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.local import Detector
@@ -39,17 +39,17 @@ FAR_M, ASKED = 0.3, 40  # a large error; images that are localised, of each part
 
 
 VARIANTS = {  # whether the network retrieves, the detector, and the pixels of images that XFeat sees
-    "XFeat at 0.7 of the size": (False, "xfeat", export.XFEAT_PIXELS),
+    "XFeat at 0.7 of the size": (False, "xfeat", networks.XFEAT_PIXELS),
     "XFeat at full size": (False, "xfeat", 640 * 480),
     "XFeat at half size": (False, "xfeat", 320 * 256),
     "ORB": (True, "orb", 0),
 }
 
 
-def detector_of(name: str, pixels: int, recording: Recording, cache: FeatureCache) -> Detector:
+def detector_of(name: str, pixels: int, recording: Recording) -> Detector:
     """A detector for the images of a recording."""
-    with patch.object(export, "XFEAT_PIXELS", pixels):
-        return export.make_detector(name, recording.camera, cache)
+    with patch.object(networks, "XFEAT_PIXELS", pixels):
+        return networks.make_detector(name, recording.camera)
 
 
 def split(mapped: Recording, new: Recording, third: int | None) -> tuple[IntArray, IntArray]:
@@ -79,7 +79,7 @@ def errors(source: str, target: str, third: int | None) -> dict[tuple[str, bool]
     }
     results: dict[tuple[str, bool], tuple[FloatArray, float]] = {}
     for name, (by_network, kind, pixels) in VARIANTS.items():
-        detector = detector_of(kind, pixels, mapped, cache)
+        detector = detector_of(kind, pixels, mapped)
         images = [frame_features(mapped, i, detector) for i in frames.tolist()]
         if by_network:
             maps = at_unit_length(coarse_features(data.features[frames], grid))

@@ -1,23 +1,23 @@
 """Other ways to regress a pose from the same features; a new one is a function here, under :func:`register_baseline`.
 
-The networks have trunk, optimiser and epochs of the tuned regressor. Locally linear regression has no network: it is
-one pose source of the conformal method on its own, with a larger search of its settings.
+The networks have the hidden layer, optimiser and epochs of the tuned regressor. Locally linear regression has no
+network: it is one pose source of the conformal method on its own, with a larger search of its settings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TypeAlias
+from typing import NamedTuple, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-import torch
+from scipy.special import log_softmax, softmax
 
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.features.backbone import feature_views
-from conformodal.features.heads import Head, Loss, fit_head, mean_squared_error, predict_values
+from conformodal.features.head import Head, Loss, fit_head, mean_squared_error
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import held_out_together
 from conformodal.localizer.candidates import TARGET_NAMES
@@ -31,6 +31,7 @@ from .tasks import ExperimentError
 Features: TypeAlias = npt.NDArray[np.float32]
 _D = len(TARGET_NAMES)
 N_COMPONENTS = 5  # of the mixture
+_LOG_SIGMA = -6.0, 3.0  # least and greatest
 _N_MEMBERS = 5  # of the ensemble
 _LOCAL = tuple(LocalSettings(*c, None) for c in product((16, 64, 256), (10, 20, 40), (0.001, 0.01, 0.1)))
 
@@ -106,9 +107,8 @@ def mixture_density(task: RegressionTask) -> Baseline:
     data, outputs = task.data, [N_COMPONENTS * (1 + 2 * _D)]
 
     def predict(head: Head, features: Features) -> FloatArray:
-        raw = torch.from_numpy(predict_values(head, features))
-        logits, means, _ = split_mixture(raw, _D)
-        return task.metric(means[torch.arange(len(raw)), logits.argmax(dim=1)].numpy())
+        mixture = _Mixture.of(head.predict(features), _D)
+        return task.metric(mixture.means[np.arange(len(features)), mixture.logits.argmax(axis=1)])
 
     def error(head: Head) -> float:
         check = data.split.calibration
@@ -118,7 +118,7 @@ def mixture_density(task: RegressionTask) -> Baseline:
     search.walk(task.tuned.training)
     search.try_out(*(replace(search.best, dropout=dropout) for dropout in (0.0, START_DROPOUT)))
     _, head = search.once_more(lambda s: task.fit(known_frames(data), s, outputs, mixture_loss), error)
-    return Baseline(lambda features: predict(head, features), n_numbers(head))
+    return Baseline(lambda features: predict(head, features), head.n_trained)
 
 
 @register_baseline("deep_ensemble", "deep ensemble of 5")
@@ -129,9 +129,9 @@ def deep_ensemble(task: RegressionTask) -> Baseline:
     heads = [task.tuned.head, *(task.fit(known, start, [1] * _D, mean_squared_error) for start in starts)]
 
     def predict(features: Features) -> FloatArray:
-        return task.metric(np.mean([predict_values(head, features) for head in heads], axis=0))
+        return task.metric(np.mean([head.predict(features) for head in heads], axis=0))
 
-    return Baseline(predict, sum(n_numbers(head) for head in heads))
+    return Baseline(predict, sum(head.n_trained for head in heads))
 
 
 @register_baseline("local_regression", "locally linear regression", by_default=True)
@@ -149,20 +149,29 @@ def local_regression(task: RegressionTask) -> Baseline:
     return Baseline(predict, regression.references.size + regression.targets.size)
 
 
-def mixture_loss(head: Head, raw: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
-    """Negative log likelihood of a mixture of diagonal normals over all targets, without its constant."""
-    logits, means, log_sigma = split_mixture(raw, targets.shape[1])
-    z = (targets[:, None] - means) * torch.exp(-log_sigma)
-    log_density = (-0.5 * z**2 - log_sigma).sum(dim=2)
-    return -torch.logsumexp(torch.log_softmax(logits, dim=1) + log_density, dim=1).mean()
+class _Mixture(NamedTuple):
+    """Mixtures of M diagonal normals over d targets, from raw outputs."""
+
+    logits: FloatArray  # (n, M)
+    means: FloatArray  # (n, M, d)
+    log_sigma: FloatArray  # (n, M, d), clipped
+
+    @classmethod
+    def of(cls, raw: FloatArray, d: int) -> Self:
+        """From (n, M (1 + 2 d)) numbers."""
+        logits, means, log_sigma = np.split(raw, [N_COMPONENTS, N_COMPONENTS * (1 + d)], axis=1)
+        shape = len(raw), N_COMPONENTS, d
+        return cls(logits, means.reshape(shape), np.clip(log_sigma.reshape(shape), *_LOG_SIGMA))
 
 
-def split_mixture(raw: torch.Tensor, d: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Logits (n, M), means (n, M, d) and log spreads (n, M, d), the last clipped."""
-    logits, means, log_sigma = torch.split(raw, [N_COMPONENTS, N_COMPONENTS * d, N_COMPONENTS * d], dim=1)
-    return logits, means.reshape(-1, N_COMPONENTS, d), log_sigma.reshape(-1, N_COMPONENTS, d).clamp(-6, 3)
-
-
-def n_numbers(head: Head) -> int:
-    """Trained numbers of a head."""
-    return sum(p.numel() for p in head.parameters())
+def mixture_loss(raw: Features, targets: Features, outputs: Sequence[int]) -> FloatArray:
+    """Gradient of the mean negative log likelihood of a mixture of diagonal normals over all targets."""
+    mixture = _Mixture.of(raw.astype(np.float64), targets.shape[1])
+    z = (targets[:, None] - mixture.means) * np.exp(-mixture.log_sigma)
+    log_density = (-0.5 * z**2 - mixture.log_sigma).sum(axis=2)
+    share = softmax(log_softmax(mixture.logits, axis=1) + log_density, axis=1)  # of each component in a target
+    by_means = -share[..., None] * z * np.exp(-mixture.log_sigma)
+    by_log_sigma = share[..., None] * (1 - z**2)
+    by_log_sigma[(mixture.log_sigma <= _LOG_SIGMA[0]) | (mixture.log_sigma >= _LOG_SIGMA[1])] = 0  # clipped
+    flat = [part.reshape(len(raw), -1) for part in (by_means, by_log_sigma)]
+    return np.concatenate([softmax(mixture.logits, axis=1) - share, *flat], axis=1) / len(raw)

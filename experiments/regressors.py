@@ -1,4 +1,4 @@
-"""The tuned regressor: it shares features, trunk, optimiser and epochs with the conformal network, but not the outputs.
+"""The tuned regressor: it shares all but the outputs with the conformal network.
 
 Seven numbers and mean squared error instead of seven softmaxes. It needs no calibration, so it is trained on the
 calibration frames too. Learning rate, dropout and number of components are searched: trained on the training part,
@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from conformodal.core.arrays import rows_by_label
-from conformodal.features.heads import Head, predict_values
+from conformodal.features.head import Head
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory, angle_between_quats, concatenate, normalise_quat
 from conformodal.localizer.observations import MotionPrior, PosePath
@@ -153,7 +153,7 @@ def train_tuned(data: TrainingData, config: TrainingConfig) -> TunedRegressor:
     misses: dict[TrainingConfig, npt.NDArray[np.float64]] = {}
 
     def miss(head: Head) -> npt.NDArray[np.float64]:
-        return np.asarray(predict_values(head, data.features[check]) * scale + mean - data.targets[check])
+        return np.asarray(head.predict(data.features[check]) * scale + mean - data.targets[check])
 
     def error(settings: TrainingConfig) -> float:
         misses[settings] = miss(fit(train, settings))

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
 import cv2
-import torch
 from joblib import Parallel, delayed
 from joblib.externals.loky import get_reusable_executor
 from joblib.externals.loky.process_executor import TerminatedWorkerError
@@ -121,9 +120,8 @@ def _finish(work: Callable[[Any], Result], i: int, task: Task, path: Path, threa
 
 
 def limit_threads(threads: int) -> None:
-    """Limit torch, ONNX Runtime, OpenCV and linear algebra to so many threads each, for the rest of this process."""
+    """Limit ONNX Runtime, OpenCV and linear algebra to so many threads each, for the rest of this process."""
     os.environ["OMP_NUM_THREADS"] = str(threads)  # which the package's pools keep to
-    torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
     threadpool_limits(threads)
 

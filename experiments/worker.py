@@ -35,7 +35,7 @@ from conformodal.pipeline.results import ResultsWriter, record_of
 from conformodal.pipeline.stream import as_trajectory, whole_paths
 from conformodal.pipeline.train import prepare_training_data, train_model
 
-from .baselines import BASELINES, Baseline, RegressionTask, n_numbers
+from .baselines import BASELINES, Baseline, RegressionTask
 from .conditions import ALPHA, TrainingTask, config_of, run_name
 from .regressors import TunedRegressor, train_tuned
 
@@ -117,7 +117,7 @@ def train_all(task: TrainingTask, data: TrainingData) -> TrainedMethods:
     stored = sum(v.size for s in model.localizer.sources for k, v in s.state().arrays.items() if k != "frames")
     trained.cost["greedy" if task.method is Method.PAPER else "smoothed"] = _cost(model_s, stored)
     trained.cost["plain"], trained.cost["tuned"] = (
-        _cost(seconds, n_numbers(regressor.head)) for regressor, seconds in ((plain, plain_s), (tuned, tuned_s))
+        _cost(seconds, regressor.head.n_trained) for regressor, seconds in ((plain, plain_s), (tuned, tuned_s))
     )
     for name in task.baselines:
         baseline, seconds = _timed(partial(BASELINES[name].train, RegressionTask(data, tuned)))

@@ -9,7 +9,7 @@ from onnx import TensorProto, helper
 from conformodal.conformal import NoveltyTest, QuantileBins, SplitConformal
 from conformodal.features.backbone import INPUT, OUTPUT, Backbone, BackboneConfig, at_unit_length
 from conformodal.features.export import IR_VERSION, OPSET
-from conformodal.features.head import Projection, SoftmaxHead
+from conformodal.features.head import Head, Projection
 from conformodal.features.local import ORB, QualityRange, extract_local_features
 from conformodal.geometry import PinholeCamera
 from conformodal.io import Split
@@ -96,11 +96,11 @@ def small_model(detector=ORB):
 
 
 def _head(rng, features, n_outputs):
-    shapes = {"components": (features.shape[1], 3), "trunk.1.weight": (_HIDDEN, 3), "trunk.1.bias": (_HIDDEN,)}
-    shapes |= {"trunk.2.weight": (_HIDDEN,), "trunk.2.bias": (_HIDDEN,), "output.weight": (n_outputs, _HIDDEN)}
+    shapes = {"components": (features.shape[1], 3), "hidden.weight": (_HIDDEN, 3), "hidden.bias": (_HIDDEN,)}
+    shapes |= {"norm.weight": (_HIDDEN,), "norm.bias": (_HIDDEN,), "output.weight": (n_outputs, _HIDDEN)}
     weights = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
     weights |= {"offset": features.mean(axis=0), "output.bias": np.zeros(n_outputs, np.float32)}
-    return HeadSource(SoftmaxHead(weights, [n_outputs // 7] * 7), _FRAMES)
+    return HeadSource(Head(weights, [n_outputs // 7] * 7), _FRAMES)
 
 
 def _neighbours(rng, features, targets):

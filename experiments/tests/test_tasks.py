@@ -67,10 +67,9 @@ class Killed:
 def most_threads():
     """Of whichever library has the most."""
     import cv2
-    import torch
     from threadpoolctl import threadpool_info
 
-    return max(torch.get_num_threads(), cv2.getNumThreads(), *(pool["num_threads"] for pool in threadpool_info()))
+    return max(cv2.getNumThreads(), *(pool["num_threads"] for pool in threadpool_info()))
 
 
 def test_results_come_in_order_and_are_kept(tmp_path):

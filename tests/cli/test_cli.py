@@ -66,7 +66,7 @@ def test_what_is_mistyped_is_told_with_what_was_meant(words, meant):
 def test_run_writes_everything(results):
     metrics = json.loads((results / "metrics.json").read_text())
     assert {"provenance", "configuration", "seed", "split", "errors", "coverage"} <= metrics.keys()
-    assert metrics["provenance"]["packages"]["torch"] == version("torch")
+    assert metrics["provenance"]["packages"]["onnxruntime"] == version("onnxruntime")
     assert metrics["split"] == "interleaved"
     assert metrics["n_answered"] == len(read_tum(results / "trajectory.tum"))
     assert list(metrics["errors"]) == ["online", "smoothed", "hindsight"]

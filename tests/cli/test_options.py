@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from conformodal.cli import console
 from conformodal.conformal import ConformodalError
-from tests.helpers import invoke, refusal
+from tests.helpers import refusal
 from tests.io.streams.test_streams import video as write_video
 
 COMMANDS = {
@@ -116,10 +116,3 @@ def test_every_end_is_one_line_and_a_code(monkeypatch, error, code, named):
 def test_a_fault_of_the_program_can_be_shown_in_full(monkeypatch):
     monkeypatch.setenv(console.SHOW_ALL, "1")
     assert isinstance(ended(KeyError("x")).exception, KeyError)
-
-
-def test_training_without_xfeat_says_that_landmarks_are_orbs(tmp_path, monkeypatch):
-    monkeypatch.setattr("conformodal.features.local.find_spec", lambda _: None)
-    assert "ORB's: XFeat is not installed" in invoke("train", tmp_path / "none", "--out", tmp_path / "m").output
-    monkeypatch.undo()
-    assert "ORB's" not in invoke("train", tmp_path / "none", "--out", tmp_path / "m").output

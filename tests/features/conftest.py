@@ -1,9 +1,9 @@
 import pytest
 
 from conformodal.features.backbone import BackboneConfig
-from conformodal.features.export import make_backbone
+from conformodal.features.export import export_backbone
 from conformodal.features.extract import FeatureCache
-from conformodal.features.networks import Network
+from conformodal.features.torch_networks import Network
 
 CONFIG = BackboneConfig(width=96, height=64, grid=(2, 3))
 
@@ -16,4 +16,4 @@ def network():
 @pytest.fixture(scope="session")
 def backbone():
     """The same network in ONNX."""
-    return make_backbone(CONFIG, FeatureCache(None))
+    return export_backbone(CONFIG, FeatureCache(None))

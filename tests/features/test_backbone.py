@@ -5,10 +5,12 @@ import pytest
 import torch
 
 from conformodal.core.extras import MissingPackageError
-from conformodal.features import networks
+from conformodal.features import networks, torch_networks
 from conformodal.features.backbone import BackboneConfig
-from conformodal.features.networks import Network, backbone_config, default_block
+from conformodal.features.extract import FeatureCache
+from conformodal.features.networks import backbone_config, default_block, make_backbone
 from conformodal.features.settings import NETWORKS, VisionError
+from conformodal.features.torch_networks import Network
 
 
 @pytest.mark.parametrize(
@@ -100,6 +102,24 @@ def test_what_is_not_here_is_not_fetched_but_named():
 
 def test_without_transformers_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "transformers", None)
-    networks._hub_block.cache_clear()
+    torch_networks.hub_block.cache_clear()
     with pytest.raises(MissingPackageError, match=r"conformodal\[hub\]"):
         default_block("hf:anything")
+
+
+@pytest.mark.parametrize("size", [(320, 240), (320, 97), (96, 64), (160, 121)])
+def test_the_default_network_comes_as_its_package_has_it(size):
+    config = backbone_config(*size)
+    images = np.random.default_rng(0).integers(0, 256, (2, config.height, config.width, 3), dtype=np.uint8)
+    expected = Network(config).maps(images)
+    found = make_backbone(config, FeatureCache(None)).maps(images)
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_a_damaged_network_is_not_run(monkeypatch, tmp_path):
+    content = bytearray((networks.FOLDER / "efficientnet_lite0.onnx").read_bytes())
+    content[len(content) // 2] ^= 1
+    (tmp_path / "efficientnet_lite0.onnx").write_bytes(content)
+    monkeypatch.setattr(networks, "FOLDER", tmp_path)
+    with pytest.raises(VisionError, match=r"efficientnet_lite0.onnx: is damaged"):
+        make_backbone(backbone_config(96, 64), FeatureCache(None))

@@ -5,7 +5,7 @@ import pytest
 
 from conformodal.features import export as exporting
 from conformodal.features.backbone import Backbone
-from conformodal.features.export import make_backbone
+from conformodal.features.export import export_backbone
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import VisionError
 
@@ -28,17 +28,17 @@ def test_an_export_that_answers_otherwise_is_refused(backbone, monkeypatch):
                 value.zero_()
         return backbone.content
 
-    monkeypatch.setattr(exporting, "_export", export)
+    monkeypatch.setattr(exporting, "export", export)
     with pytest.raises(VisionError, match="answers otherwise"):
-        make_backbone(backbone.config, FeatureCache(None))
+        export_backbone(backbone.config, FeatureCache(None))
 
 
 def test_a_network_is_exported_once(backbone, monkeypatch, tmp_path):
     cache = FeatureCache(tmp_path)
-    monkeypatch.setattr(exporting, "_export", lambda *_, **__: backbone.content)
-    made = make_backbone(backbone.config, cache)
-    monkeypatch.setattr(exporting, "_export", lambda *_, **__: pytest.fail("exported again"))
-    assert make_backbone(backbone.config, cache).fingerprint == made.fingerprint
+    monkeypatch.setattr(exporting, "export", lambda *_, **__: backbone.content)
+    made = export_backbone(backbone.config, cache)
+    monkeypatch.setattr(exporting, "export", lambda *_, **__: pytest.fail("exported again"))
+    assert export_backbone(backbone.config, cache).fingerprint == made.fingerprint
 
 
 @pytest.mark.parametrize("content", [b"", b"no network", "half"])

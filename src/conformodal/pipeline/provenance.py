@@ -10,7 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-_PACKAGES = ("numpy", "scipy", "torch", "onnxruntime", "opencv-python-headless", "poselib", "trimesh", "embreex")
+_PACKAGES = ("numpy", "scipy", "onnxruntime", "opencv-python-headless", "poselib", "trimesh", "embreex")
 
 
 def provenance() -> dict[str, Any]:

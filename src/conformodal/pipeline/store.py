@@ -45,7 +45,7 @@ from .config import Method
 from .identity import FrameIdentities
 from .model import PATHS, ExpectedInput, PathRule, PoseModel, SourceComparison, path_rule
 
-FORMAT = "conformodal-model-30"
+FORMAT = "conformodal-model-31"
 _JSON = "model.json"
 _FILES = {  # with the first digits of their digests; the detector of local features may have no network: an empty file
     "weights": "weights-{}.safetensors",

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from conformodal.core.extras import require_extra
 from conformodal.core.files import default_cache_dir
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.features.extract import FeatureCache, extract_features
+from conformodal.features.networks import backbone_config, make_backbone, make_detector
 from conformodal.geometry import sign_reference
 from conformodal.io import Recording, make_split, with_random_calibration
 from conformodal.io.recording import join_recordings
@@ -35,10 +35,6 @@ def prepare_training_data(
     sequence: Recording, config: ModelConfig, cache: FeatureCache, progress: StageProgress | None = None
 ) -> TrainingData:
     """Split a sequence with poses and compute the features of all its frames."""
-    with require_extra("train", "training"):
-        from conformodal.features.export import make_backbone, make_detector  # noqa: PLC0415
-        from conformodal.features.networks import backbone_config  # noqa: PLC0415
-
     truth, paper = sequence.require_truth(), config.method is Method.PAPER
     split = make_split(
         sequence.recording,
@@ -53,7 +49,7 @@ def prepare_training_data(
         split = with_random_calibration(split, config.calibration / (config.used or 1 - config.test))
     size = sequence.camera.width, sequence.camera.height
     network = backbone_config(*size, config.network, whole=paper)
-    backbone, detector = make_backbone(network, cache), make_detector(config.features, sequence.camera, cache)
+    backbone, detector = make_backbone(network, cache), make_detector(config.features, sequence.camera)
     reference = sign_reference(truth.orientations_quat_wxyz[split.train])
     targets = pose_targets(truth, reference)
     features = extract_features(sequence.image_paths, backbone, cache, stage_of(progress, "features"), sequence.noise)

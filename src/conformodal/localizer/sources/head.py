@@ -9,10 +9,9 @@ from typing import ClassVar, Self
 import numpy as np
 
 from conformodal.core.arrays import IntArray
-from conformodal.core.extras import require_extra
 from conformodal.core.progress import stage_of
 from conformodal.core.schema import ArraySpec
-from conformodal.features.head import SoftmaxHead
+from conformodal.features.head import Head, fit_head, soft_cross_entropy
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.training_data import TrainingData
 
@@ -21,10 +20,10 @@ from .registry import SourceAnswer, SourceState, register_source
 _ARRAYS = {
     "offset": ArraySpec("f", ("n_features",)),
     "components": ArraySpec("f", ("n_features", "k")),
-    "trunk.1.weight": ArraySpec("f", ("hidden", "k")),
-    "trunk.1.bias": ArraySpec("f", ("hidden",)),
-    "trunk.2.weight": ArraySpec("f", ("hidden",)),
-    "trunk.2.bias": ArraySpec("f", ("hidden",)),
+    "hidden.weight": ArraySpec("f", ("hidden", "k")),
+    "hidden.bias": ArraySpec("f", ("hidden",)),
+    "norm.weight": ArraySpec("f", ("hidden",)),
+    "norm.bias": ArraySpec("f", ("hidden",)),
     "output.weight": ArraySpec("f", ("n_bins", "hidden")),
     "output.bias": ArraySpec("f", ("n_bins",)),
 }
@@ -40,15 +39,12 @@ class HeadSource:
     local: ClassVar[bool] = False
     least_sigma_m: ClassVar[float] = math.inf  # its modes refine no estimate
 
-    head: SoftmaxHead
+    head: Head
     frames: IntArray
 
     @classmethod
     def fit(cls, data: TrainingData, frames: IntArray) -> Self:
         """Train on order-aware labels, or one-hot ones where ``sigma_bins`` is 0."""
-        with require_extra("train", "training"):
-            from conformodal.features.heads import fit_head, soft_cross_entropy  # noqa: PLC0415
-
         bins = data.bins_of(frames)
         head = fit_head(
             data.features[frames],
@@ -59,7 +55,7 @@ class HeadSource:
             projection=data.projection(frames, data.settings.training.components),
             progress=stage_of(data.progress, "training"),
         )
-        return cls(head.trained(), frames)
+        return cls(head, frames)
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """Probabilities of all bins."""
@@ -73,6 +69,6 @@ class HeadSource:
     def from_state(cls, state: SourceState) -> Self:
         """The stored source."""
         scaled = state.arrays["components"].ndim == 1  # without principal components
-        state.check(_ARRAYS | ({"components": _SCALES, "trunk.1.weight": _OF_SCALES} if scaled else {}), {})
+        state.check(_ARRAYS | ({"components": _SCALES, "hidden.weight": _OF_SCALES} if scaled else {}), {})
         weights = {k: v for k, v in state.arrays.items() if k != "frames"}
-        return cls(SoftmaxHead(weights, state.bins), state.arrays["frames"])
+        return cls(Head(weights, state.bins), state.arrays["frames"])
