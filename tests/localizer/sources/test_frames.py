@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from conformodal.geometry import Trajectory
+from conformodal.geometry import Trajectory, rigid_motions
 from conformodal.io import Recording, Split, SplitKind
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.sources.landmarks import LandmarkSource
+from conformodal.localizer.sources.landmarks import LandmarkSource, _keyframes
 from conformodal.localizer.sources.registry import SourceState
 from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.depths import SceneDepth
@@ -76,3 +76,22 @@ def test_a_stored_source_answers_the_same_to_the_last_bit(world, looked_at, stat
     for its, others in zip(here, there, strict=True):
         for one, other in zip(its, others, strict=True):
             np.testing.assert_equal(vars(one), vars(other))
+
+
+@pytest.mark.parametrize(("step_m", "every"), [(0.001, 26), (0.013, 2), (0.03, 1)])
+def test_frames_of_nearly_the_same_view_are_one_keyframe(step_m, every):
+    poses = np.tile(np.eye(4), (N, 1, 1))
+    poses[:, 0, 3] = step_m * np.arange(N)
+    np.testing.assert_array_equal(_keyframes(poses, depth_m=1.0), np.arange(0, N, every))
+
+
+def test_a_frame_that_turns_is_a_keyframe():
+    turned = rigid_motions(Rotation.from_euler("z", [[0.0], [0.01], [0.02], [0.03]]).as_matrix(), np.zeros((4, 3)))
+    np.testing.assert_array_equal(_keyframes(turned, depth_m=1.0), [0, 3])
+
+
+def test_of_an_area_at_most_a_thousand_views_are_keyframes():
+    poses = np.tile(np.eye(4), (3000, 1, 1))
+    poses[:, 0, 3] = 2.0 * (np.arange(3000) % 2) + 100.0 * (np.arange(3000) >= 2900)
+    chosen = _keyframes(poses, depth_m=1.0)
+    assert [(chosen < 2900).sum(), (chosen >= 2900).sum()] == [1000, 100]
