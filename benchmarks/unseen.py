@@ -29,9 +29,8 @@ from common import (
     write_page,
 )
 from PIL import Image
-from worlds import ALPHA, CACHE
+from worlds import ALPHA, CACHE, N_LAPS, N_MODULES, TRAINING
 
-from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
 from conformodal.corridor import CorridorWorld, Renderer, drone_path, write_corridor, write_flight
 from conformodal.features.extract import FeatureCache
 from conformodal.io import PixelNoise, Recording, SplitKind, read_image, read_recording

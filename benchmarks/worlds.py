@@ -12,7 +12,6 @@ import numpy as np
 from common import DATA, REDKITCHEN, RUNS, rmse
 from scipy.spatial.transform import Rotation
 
-from conformodal.cli.demo import N_LAPS, N_MODULES, TRAINING
 from conformodal.corridor import CorridorWorld, Renderer, drone_path, write_corridor, write_flight
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
@@ -61,6 +60,10 @@ WORLDS = {
     "corridor, new laps after three": World((), "blocks", features="orb", n_laps=3),
 }
 N_NEW_LAPS, LAP_MODULES = 2, 3
+N_MODULES, N_LAPS = 5, 2  # of the corridor whose frames are drawn at random
+# Strong dropout: in a world made of copies, a network that remembers frames tells copies apart by chance details. All
+# features, not their principal components: rooms differ in small things.
+TRAINING = TrainingConfig(epochs=40, dropout=0.6, components=None)
 EVERY = ("head", "neighbours", "landmarks")
 OTHER_FEATURES = "the other local features"
 VARIANTS: dict[str, dict[str, Any]] = {  # models of their own

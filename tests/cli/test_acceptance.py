@@ -15,25 +15,24 @@ def inside_band(coverage):
 
 
 def test_demo(tmp_path):
-    # of seeds 0 to 2, all above what is asserted, this one lies furthest from the line, so
-    # that another processor's rounding does not decide
-    run_ok("demo", "--out", tmp_path, "--seed", "1")
+    found = run_ok("demo", "--out", tmp_path, "--seed", "1")
     metrics = json.loads((tmp_path / "metrics.json").read_text())
-    errors = metrics["errors"]
+    n, errors, coverage, paths = (metrics[key] for key in ("n_answered", "errors", "coverage", "path_coverage"))
     assert errors["classical"]["rmse_m"] >= 3 * errors["smoothed"]["rmse_m"]
-    assert inside_band(metrics["coverage"])
-    assert not metrics["coverage"]["unbounded"]
-    assert metrics["ambiguity"]["n_places"] > 300
-    # 0.94 at alpha = 0.02: a place that looks the same has no guarantee of its own, and is in the region only if one of
-    # the hypotheses that count is there
-    assert metrics["ambiguity"]["share_held"] >= 0.9
-    assert 1 < metrics["coverage"]["mean_places"] < 6
-    # at alpha = 0.02; motion tells most of the rooms apart
-    paths = metrics["path_coverage"]
-    assert paths["online"]["coverage"] > 0.95
-    assert paths["online"]["mean_places"] < metrics["coverage"]["mean_places"]
-    assert paths["n_reliable"] > 0.5 * metrics["n_answered"]
-    assert paths["n_reliable_and_elsewhere"] <= 0.02 * metrics["n_answered"]
+    # of one new lap it is an observation; of laps like it, 0.9 on average
+    assert coverage["bounded_coverage"] > 0.8
+    assert coverage["n_bounded"] > 0.8 * n
+    assert metrics["ambiguity"]["n_places"] > 50
+    # a place that looks the same has no guarantee of its own, and is in the region only if one of the hypotheses that
+    # count is there
+    assert metrics["ambiguity"]["share_held"] >= 0.8
+    assert 1 < coverage["mean_places"] < 6
+    assert paths["online"]["coverage"] > 0.8
+    assert paths["online"]["mean_places"] < coverage["mean_places"]  # motion tells rooms apart
+    assert paths["n_reliable"] > 0.5 * n
+    assert metrics["n_reliable_wrong"] == 0
+    [first] = [line for line in found.output.splitlines() if line.startswith("reliable: ")]
+    assert first == f"reliable: {paths['n_reliable']} of {n} poses are reliable; 0 of these are over 0.5 m off"
     assert "of the same view; the regions hold" in (tmp_path / "report.html").read_text()
 
 

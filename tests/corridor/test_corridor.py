@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from conformodal.corridor import CAMERA, Renderer, same_views, write_corridor
+from conformodal.corridor import CAMERA, Renderer, same_views, write_corridor, write_laps
 from conformodal.corridor.flight import drone_path, rotation_world_cam
 from conformodal.corridor.world import MODULE_LENGTH, CorridorWorld
 from conformodal.io import read_recording
@@ -81,3 +81,20 @@ def test_writing_is_reproducible_and_readable(tmp_path, monkeypatch):
     np.testing.assert_allclose(a.require_truth().positions_xyz, exact.positions_xyz[:9], atol=1e-9)
     assert a.camera == CAMERA
     assert a.timestamps_s[1] == pytest.approx(0.1)
+
+
+def test_laps_are_recordings_that_differ_and_the_same_seed_gives_the_same(tmp_path):
+    for name in ("one", "other"):
+        write_laps(tmp_path / name, n_modules=2, n_laps=2, seed=5, speed=8.0)
+    laps, again = (read_recording(tmp_path / name) for name in ("one", "other"))
+    assert np.bincount(laps.recording).tolist() == [len(laps) // 2] * 2
+    first, second = np.split(laps.require_truth().positions_xyz, 2)
+    assert 0.01 < np.abs(first - second).max() < 0.5  # the same way, with other gusts
+    for i in (0, len(laps) - 1):
+        np.testing.assert_array_equal(laps.image(i), again.image(i))
+
+
+def test_a_faster_flight_has_fewer_frames_of_the_same_way():
+    slow, fast = (drone_path(CorridorWorld(2), 1, speed=speed).positions_xyz for speed in (1.0, 2.0))
+    assert len(fast) == pytest.approx(len(slow) / 2, abs=1)
+    np.testing.assert_allclose(fast.max(axis=0), slow.max(axis=0), atol=0.4)

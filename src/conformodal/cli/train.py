@@ -17,16 +17,17 @@ from conformodal.features.extract import FeatureCache
 from conformodal.features.local import XFeatDetector
 from conformodal.features.networks import default_block
 from conformodal.features.settings import NETWORKS, TrainingConfig
-from conformodal.io import Layout, Recording, SplitKind
+from conformodal.io import Layout, SplitKind
 from conformodal.io.diagnosis.cameras import doubt_focal
 from conformodal.localizer.sources.registry import find_source
+from conformodal.localizer.training_data import TrainingData
 from conformodal.pipeline.config import Calibration, Method, ModelConfig
 from conformodal.pipeline.guarantee import describe_guarantee, short_guarantee
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import lock_output, write_metrics
 from conformodal.pipeline.store import model_digest, save_model
-from conformodal.pipeline.train import train_model
+from conformodal.pipeline.train import prepare_training_data, train_model
 from conformodal.pipeline.workers import Engine, parallel_workers
 from conformodal.quality.advice import advice, describe_size, numbers, quality_record, verdict
 from conformodal.quality.examining import examine
@@ -98,21 +99,19 @@ def train(
         feature_cache = FeatureCache(cache_folder(cache))
         sequence = open_sequences(data, layout, test=held_out, trust_poses=trust_poses, focal=focal)
         with progress_bars(out) as report:
-            train_on(sequence, config, out, features=feature_cache, report=report)
+            train_on(prepare_training_data(sequence, config, feature_cache, report), config, out, report)
     print_where(out)
 
 
-def train_on(
-    sequence: Recording, config: ModelConfig, out: Path, *, features: FeatureCache, report: StageProgress
-) -> PoseModel:
+def train_on(data: TrainingData, config: ModelConfig, out: Path, report: StageProgress) -> PoseModel:
     """Train, calibrate and save; prints what a user should know of the model."""
-    started = time.perf_counter()
-    model = train_model(sequence, config, cache=features, progress=report)
+    started, sequence = time.perf_counter(), data.sequence
+    model = train_model(data, config, progress=report)
     save_model(model, out)  # at the end: until then, a model that was there before is whole
     split = _split_record(model)
     quality = None
     if config.method is not Method.PAPER:  # whose system has no more to say
-        quality = examine(sequence, model, just_trained=True, cache=features)
+        quality = examine(sequence, model, just_trained=True, cache=data.cache)
     metrics = {
         "command": "train",
         "model": model_digest(out),

@@ -6,8 +6,17 @@ with require_extra("train", "the corridor world"):
     import trimesh  # noqa: F401
 
 from .ambiguity import same_views
-from .flight import drone_path, write_corridor, write_flight
+from .flight import drone_path, write_corridor, write_flight, write_laps
 from .render import CAMERA, Renderer
 from .world import CorridorWorld
 
-__all__ = ["CAMERA", "CorridorWorld", "Renderer", "drone_path", "same_views", "write_corridor", "write_flight"]
+__all__ = [
+    "CAMERA",
+    "CorridorWorld",
+    "Renderer",
+    "drone_path",
+    "same_views",
+    "write_corridor",
+    "write_flight",
+    "write_laps",
+]

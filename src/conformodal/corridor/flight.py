@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,24 +29,27 @@ GUST_M, GUST_RAD, GUST_FRAMES = 0.05, np.radians(1.2), 1.0
 Waypoint = tuple[float, float, float]  # x, y, yaw in degrees; yaw 0 looks along x, 90 into the rooms
 
 
-def drone_path(world: CorridorWorld, n_laps: int = 2, seed: int = 0) -> Trajectory:
+def drone_path(
+    world: CorridorWorld, n_laps: int = 2, seed: int | tuple[int, int] = 0, speed: float = 1.0
+) -> Trajectory:
     """Poses ``T_world_cam`` of an inspection flight, seeded, at 10 frames per second.
 
     Each of `n_laps` laps goes along the hall and back and into every room, always in the same manner, so that flying
     does not tell rooms apart that look alike. Gusts move the drone by some centimetres and degrees, fast enough that a
     frame is no more like its neighbours in time than like those of another visit. The drone moves sideways where it has
-    to: the camera never looks straight at the hall side opposite the rooms.
+    to: the camera never looks straight at the hall side opposite the rooms. Its cruising speed is 1.5 m/s times
+    `speed`.
     """
-    return fly([point for _ in range(n_laps) for point in _lap(world)], np.random.default_rng(seed))
+    return fly([point for _ in range(n_laps) for point in _lap(world)], np.random.default_rng(seed), speed)
 
 
-def fly(waypoints: list[Waypoint], rng: np.random.Generator) -> Trajectory:
+def fly(waypoints: list[Waypoint], rng: np.random.Generator, speed: float = 1.0) -> Trajectory:
     """A smooth flight from waypoint to waypoint, shaken by gusts."""
     coarse = np.array(waypoints)
     coarse[:, 2] = np.radians(coarse[:, 2])
     step = np.diff(coarse, axis=0)
     effort = np.maximum(np.hypot(step[:, 0], step[:, 1]) / STEP_M, np.abs(step[:, 2]) / TURN_RAD)
-    clock = np.concatenate(([0.0], np.cumsum(effort)))
+    clock = np.concatenate(([0.0], np.cumsum(effort))) / speed
     n = int(clock[-1])
     x, y, yaw = (
         gaussian_filter1d(np.interp(np.arange(n), clock, column), SMOOTHING_FRAMES, mode="nearest")
@@ -114,6 +118,35 @@ def write_corridor(
     world = CorridorWorld(n_modules, seed=seed)
     poses = drone_path(world, n_laps, seed).poses_se3
     return write_flight(Path(folder) / "seq-01", Renderer(world), poses, noise_seed=seed * 1_000_003, progress=progress)
+
+
+def write_laps(
+    folder: Path | str,
+    *,
+    n_modules: int = 3,
+    n_laps: int = 4,
+    seed: int = 0,
+    speed: float = 1.0,
+    progress: Progress | None = None,
+) -> Path:
+    """Fly laps through the corridor, each a recording of its own, ``seq-01`` and so on: they are exchangeable.
+
+    The seed is that of world, paths and camera noise. Returns the folder of the recordings.
+    """
+    world, folder = CorridorWorld(n_modules, seed=seed), Path(folder)
+    renderer, done = Renderer(world), 0
+    laps = [drone_path(world, 1, (seed, lap), speed).poses_se3 for lap in range(n_laps)]
+    total = sum(map(len, laps))
+    for lap, poses in enumerate(laps):
+        report = None if progress is None else partial(_report, progress, done, total)
+        noise_seed = ((seed + 1) * 1_000 + lap) * 1_000_003
+        write_flight(folder / f"seq-{lap + 1:02d}", renderer, poses, noise_seed=noise_seed, progress=report)
+        done += len(poses)
+    return folder
+
+
+def _report(progress: Progress, before: int, total: int, done: int, _: int) -> None:
+    progress(before + done, total)
 
 
 def write_flight(
