@@ -148,3 +148,24 @@ def test_a_view_that_fails_leaves_no_recording_open(monkeypatch, tmp_path, view,
     with pytest.raises(OSError, match=r"^(no screen|gone)$"), sinks:
         pass
     assert [recorder.open for recorder in opened] == still_open
+
+
+def test_images_alone_are_answered_with_the_camera_of_the_model(small_world, tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for path in sorted((small_world.folder / "seq-01").glob("*.png"))[:6]:
+        (folder / path.name.replace("frame-", "")).write_bytes(path.read_bytes())
+    found = run_ok("run", small_world.model, folder, "--out", tmp_path / "out")
+    assert "no calibration; the model's camera is assumed. camera-intrinsics.txt in it names" in " ".join(
+        found.output.split()
+    )
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["n_answered"] == 6
+
+
+def test_images_alone_of_another_size_are_refused(small_world, tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for i in range(3):
+        cv2.imwrite(str(folder / f"{i}.png"), np.zeros((48, 64, 3), np.uint8))
+    found = refusal("run", small_world.model, folder, "--out", tmp_path / "out")
+    assert "images have 64x48 pixels, and the camera has 160x120" in found

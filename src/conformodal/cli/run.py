@@ -17,7 +17,7 @@ from conformodal.features.local import extract_local_features
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.lens import view_as
 from conformodal.io import Layout
-from conformodal.io.cameras import describe_change
+from conformodal.io.cameras import INTRINSICS, describe_change
 from conformodal.io.decoding import grey_image
 from conformodal.io.recording import as_camera
 from conformodal.io.streams.frames import ConvertedStream, FrameStream, RecordingStream, join_streams
@@ -176,7 +176,8 @@ def _as_trained(model: PoseModel, stream: FrameStream, *, convert: bool) -> Fram
     if stream.camera is None:
         return stream
     if stream.camera is model.camera and not isinstance(stream, ConvertedStream):
-        report_line(f"{stream.name}: no calibration; the model's camera is assumed. --camera or --focal name another")
+        names = f"{INTRINSICS} in it names" if isinstance(stream, RecordingStream) else "--camera or --focal name"
+        report_line(f"{stream.name}: no calibration; the model's camera is assumed. {names} another")
     try:
         model.check_camera(stream.camera)
     except OdometryError as exc:

@@ -21,7 +21,7 @@ from conformodal.geometry import PinholeCamera, Trajectory, poses_at
 from conformodal.geometry.metrics import MAX_GAP_S, nearest_in_time
 from conformodal.geometry.poses import matrices_of, table_of
 
-from .cameras import uncalibrated_camera, undistort_to
+from .cameras import INTRINSICS, uncalibrated_camera, undistort_to
 from .decoding import TURNED, common_size, image_fault, is_turned, refuse_few_bits
 from .diagnosis.clocks import clock_hint, doubt_rate, in_seconds
 from .diagnosis.stale import STALE_PICTURES, STALE_POSES, describe_stretches, stale_pictures, stale_poses
@@ -135,7 +135,9 @@ class FrameTable:
             raise DatasetError(f"{path}: holds {scale[:9].tolist()}, expected the metres of one unit of the poses")
         self.poses[:, :3] *= scale[0]
 
-    def to_recording(self, *, require_poses: bool = True, focal: float | None = None) -> Recording:
+    def to_recording(
+        self, *, require_poses: bool = True, focal: float | None = None, camera: PinholeCamera | None = None
+    ) -> Recording:
         """The frames that can be used, as the camera of most has them; warns of the others.
 
         With `require_poses`, frames without a pose or a sound image are left out. See
@@ -154,7 +156,7 @@ class FrameTable:
         times, unit = in_seconds(self.times)
         if unit:
             self.notes.append(Note(CONVERTED, f"{self.name}: {np.nanmedian(self.times):.6g} looks like {unit}"))
-        camera = self._one_camera(focal)
+        camera = self._one_camera(focal, camera)
         rows = np.full((len(times), 7), np.nan) if self.poses is None else self.poses.copy()
         if self.poses is not None:
             self._drop_stale(times, rows)
@@ -216,9 +218,14 @@ class FrameTable:
         remedy = "the tracker lost the camera" if what == STALE_POSES else "the camera or its driver stopped"
         self.notes.append(Note(what, f"{where}; {remedy} there: train leaves these frames out"))
 
-    def _one_camera(self, focal: float | None) -> PinholeCamera:
-        """The camera of most frames; images of others are brought to it."""
-        if self.camera is None:
+    def _one_camera(self, focal: float | None, given: PinholeCamera | None) -> PinholeCamera:
+        """The camera of most frames; images of others are brought to it. That given is for those without one."""
+        if self.camera is None and given is not None:
+            if (size := common_size(self.images)) != (given.width, given.height):
+                found = f"images have {size[0]}x{size[1]} pixels, and the camera has {given.width}x{given.height}"
+                raise DatasetError(f"{self.source}: {found}; write the camera's 3x3 matrix into {INTRINSICS}")
+            self.camera = given
+        elif self.camera is None:
             self.camera = uncalibrated_camera(self.source, common_size(self.images), focal, self.notes)
         elif focal is not None:
             raise DatasetError(f"{self.name}: has a camera, and a focal length is for data sets without one")

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from conformodal.core.files import kind_of_file
 from conformodal.core.words import as_utf8, counted
-from conformodal.geometry import PoseError
+from conformodal.geometry import PinholeCamera, PoseError
 from conformodal.io.layouts.colmap import model_folders, read_colmap
 from conformodal.io.layouts.euroc import looks_like_euroc, read_euroc_mav
 from conformodal.io.layouts.images import looks_like_images, read_image_folder
@@ -30,6 +30,7 @@ from conformodal.io.layouts.tum import read_tum_rgbd
 from .cameras import INTRINSICS
 from .errors import DatasetError
 from .frame_table import FrameTable
+from .reading import image_files
 from .recording import Recording
 
 ENTRY_POINTS = "conformodal.layouts"
@@ -101,6 +102,8 @@ def recognise(folder: Path) -> str:
         names.remove(_LAST_RESORT)
     if len(names) == 1:
         return names[0]
+    if not names and not (folder / "metadata.yaml").is_file() and image_files(folder):
+        return _LAST_RESORT  # images alone
     what = "is not in a layout that is read. Looked for "
     what += "; ".join(f"{name}: {reader.sign}" for name, reader in readers().items())
     if names:
@@ -135,7 +138,12 @@ def _check_folder(folder: Path) -> None:
 
 
 def read_recording(
-    path: Path | str, format: str = Layout.AUTO, *, require_poses: bool = True, focal: float | None = None
+    path: Path | str,
+    format: str = Layout.AUTO,
+    *,
+    require_poses: bool = True,
+    focal: float | None = None,
+    camera: PinholeCamera | None = None,
 ) -> Recording:
     """Read a data set, without decoding its images, as in ``examples/images.py``.
 
@@ -148,8 +156,8 @@ def read_recording(
     require_poses
         True leaves out frames without a pose or a sound image. False keeps them; the recording has a truth only if
         every frame has a pose.
-    focal
-        Focal length in pixels where nothing says the camera.
+    focal, camera
+        Focal length in pixels, or intrinsics, where nothing says the camera.
 
     Raises
     ------
@@ -168,6 +176,8 @@ def read_recording(
     _check_folder(folder)
     name = recognise(folder) if format == Layout.AUTO else format
     try:
-        return readers()[name].read(folder.resolve()).to_recording(require_poses=require_poses, focal=focal)
+        return (
+            readers()[name].read(folder.resolve()).to_recording(require_poses=require_poses, focal=focal, camera=camera)
+        )
     except (OSError, UnicodeError, PoseError) as exc:
         raise DatasetError(as_utf8(f"{folder}: cannot be read: {exc}")) from exc

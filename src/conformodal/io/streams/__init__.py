@@ -50,4 +50,4 @@ def open_stream(
         return open_bag(path, topic, camera)
     if layout == Layout.AUTO and path.is_file():
         return open_video(path, camera)
-    return RecordingStream(read_recording(path, layout, require_poses=False))
+    return RecordingStream(read_recording(path, layout, require_poses=False, camera=camera))
