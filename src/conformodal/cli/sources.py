@@ -164,7 +164,8 @@ def open_source(
         raise OptionError(f"--topic is for ROS recordings, and {source} is not one, got {topic!r}")
     kind = type(stream).__name__.removesuffix("Stream").lower()
     if isinstance(stream, RecordingStream):
-        kind = f"{recognise(Path(source)) if layout is Layout.AUTO else layout} layout"
+        name = recognise(Path(source), images_alone=True) if layout is Layout.AUTO else layout
+        kind = f"{name} layout"
         kind += ", without poses, or not for every frame" if stream.sequence.truth is None else ", with poses"
     count = "" if stream.n_frames is None else f", {counted(stream.n_frames, 'frame')}"
     report_line(f"{source}: {kind}{count}")

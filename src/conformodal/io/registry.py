@@ -91,8 +91,8 @@ def readers() -> dict[str, Reader]:
     return layouts
 
 
-def recognise(folder: Path) -> str:
-    """The name of the layout that a folder is in."""
+def recognise(folder: Path, *, images_alone: bool = False) -> str:
+    """The name of the layout that a folder is in; with `images_alone`, images need no camera or poses beside them."""
     _check_folder(folder)
     try:
         names = [name for name, reader in readers().items() if reader.recognises(folder)]
@@ -102,8 +102,8 @@ def recognise(folder: Path) -> str:
         names.remove(_LAST_RESORT)
     if len(names) == 1:
         return names[0]
-    if not names and not (folder / "metadata.yaml").is_file() and image_files(folder):
-        return _LAST_RESORT  # images alone
+    if images_alone and not names and not (folder / "metadata.yaml").is_file() and image_files(folder):
+        return _LAST_RESORT
     what = "is not in a layout that is read. Looked for "
     what += "; ".join(f"{name}: {reader.sign}" for name, reader in readers().items())
     if names:
@@ -174,7 +174,7 @@ def read_recording(
         raise DatasetError(f"focal must be a positive number of pixels, got {focal!r}")
     folder = Path(path)
     _check_folder(folder)
-    name = recognise(folder) if format == Layout.AUTO else format
+    name = recognise(folder, images_alone=camera is not None) if format == Layout.AUTO else format
     try:
         return (
             readers()[name].read(folder.resolve()).to_recording(require_poses=require_poses, focal=focal, camera=camera)
