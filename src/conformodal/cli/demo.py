@@ -32,7 +32,7 @@ from .answering import Part, answer_stream, describe_outcome, metrics_of, part_f
 from .console import print_where, progress_bars, report_line
 from .train import train_on
 
-N_MODULES, N_LAPS, SPEED = 3, 4, 2.0
+N_MODULES, N_LAPS, SPEED = 3, 4, 2.5
 WRONG_M = 0.5  # a pose that is further off is wrong: rooms are 4 m apart
 
 
