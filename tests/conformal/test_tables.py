@@ -9,6 +9,7 @@ from decimal import Decimal
 import numpy as np
 import pandas as pd
 import pytest
+from joblib import parallel_config
 from scipy import sparse
 from sklearn.compose import make_column_transformer
 from sklearn.ensemble import HistGradientBoostingClassifier
@@ -117,6 +118,17 @@ def test_a_table_of_arrow_is_taken_as_one_of_pandas():
         reg = tree().fit(same, y)
         np.testing.assert_array_equal(reg.predict(same), expected)
         np.testing.assert_array_equal(reg.predict_table(same)[reg.bins_.names[0]], expected)
+
+
+def test_threads_answer_as_one_does(monkeypatch):
+    pa = pytest.importorskip("pyarrow")
+    X, y = frame()
+    numbers = X[["age"]].fillna(50)
+    reg = ConformalRegressor(random_state=0).fit(numbers, y)
+    monkeypatch.setattr("conformodal.conformal.tables._ROWS", 16)
+    expected = reg.predict_table(pa.Table.from_pandas(numbers))
+    with parallel_config("threading", n_jobs=3):
+        assert reg.predict_table(pa.Table.from_pandas(numbers)).equals(expected)
 
 
 def test_columns_in_another_order_are_refused_whatever_their_names_are():

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from joblib import parallel_config
 
 from conformodal.conformal import ConformalRegressor
 from conformodal.conformal.tables import input_columns
@@ -55,7 +56,12 @@ def predict(
     if others:
         report_line(f"note: not read: {listed(others)}, which the model does not know"[:_LONGEST])
     told, done = list[str](), 0
-    with progress_bars() as progress, warning_lines(UserWarning, told.append), _writer(out) as write:
+    with (
+        progress_bars() as progress,
+        warning_lines(UserWarning, told.append),
+        _writer(out) as write,
+        parallel_config("threading", n_jobs=-1),
+    ):
         for table in chunks([*copied, *needed]):
             with _naming(file):
                 regions = reg.predict_table(table.select(needed), alpha)
