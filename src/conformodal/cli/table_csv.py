@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from conformodal.conformal.density.encoder import as_column, is_time
 from conformodal.core.arrays import AnyArray, FloatArray, IntArray
@@ -75,21 +77,23 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
     cells = _named_cells(raw, file, separator)
     notes = [f"{file}: {counted(len(cells), 'row')}, {counted(cells.shape[1], 'column')} separated by {separator!r}"]
     notes += [f"{counted(above, 'line')} above the names passed over"] if above else []
-    joined = np.flatnonzero(_each(cells, lambda cell: cell.str.contains(r"[\r\n]", na=False)).any(axis=1))
+    numbers = _plain_numbers(cells)
+    others = cells.drop(columns=list(numbers)).astype(object)
+    joined = np.flatnonzero(_each(others, lambda cell: cell.str.contains(r"[\r\n]", na=False)).any(axis=1))
     if joined.size:
         number = counted(joined.size, "row has values", "rows have values")
         notes.append(
             f"{number} of several lines, such as line {cells.index[joined[0]]}; a quote that is not closed joins rows"
         )
-    raw = cells
-    words = _each(cells, lambda cell: cell.isin(_WORDS)).astype(np.bool_)
-    cells = cells.mask(words) if words.any() else cells
-    decimal, columns, day_first = written.decimal or _decimal_mark(cells, separator), {}, list[str]()
+    words = _each(others, lambda cell: cell.isin(_WORDS)).astype(np.bool_)
+    clear = others.mask(words) if words.any() else others
+    decimal, columns, day_first = written.decimal or _decimal_mark(cells, clear, separator), {}, list[str]()
     labels = list[str]()
-    plain = _plain_numbers(cells) if decimal == "." and not written.thousands else {}
-    for name, column in cells.items():
+    plain = numbers if decimal == "." and not written.thousands else {}
+    for name, raw in cells.items():
+        column = clear.get(name, raw)
         if name in written.verbatim:
-            columns[name] = raw[name].astype("str")
+            columns[name] = raw.astype("str")
             continue
         if name in plain:
             columns[name] = plain[name]
@@ -100,7 +104,7 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
             values = _dates(column, separator, str(name) in written.day_first)
             day_first += [] if values is None or not values.attrs["day_first"] else [str(name)]
         if values is None:
-            values, more = _text_column(raw[name], column, name in written.labels)
+            values, more = _text_column(raw, column, name in written.labels)
             labels += [str(name)] if values.notna().sum() > column.notna().sum() else []
             notes += more
         columns[name] = values
@@ -144,6 +148,8 @@ def _read_parquet(file: Path) -> tuple[pd.DataFrame, list[str]]:
 
 def _lines(text: str, above: int, separator: str, n: int) -> IntArray:
     """The line (n,) of each row in the file, from 1: values may hold line breaks, and empty lines are no rows."""
+    if text.count("\n") + (not text.endswith("\n")) == above + n:
+        return above + 1 + np.arange(n)
     starts, at = [], 0
     with suppress(csv.Error):
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=True)
@@ -166,12 +172,15 @@ def _rows(text: str, file: Path, shape: dict[str, Any], na_values: Sequence[str]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # of rows longer than those looked at
-            raw = pd.read_csv(io.StringIO(text), dtype=object, **shape)
+            raw = pd.read_csv(io.BytesIO(text.encode()), dtype="str", **shape)
     except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning) as exc:
         raise TableError(f"{file}: cannot be read as CSV: {' '.join(str(exc).split())}") from None
     if raw.empty:
         raise TableError(f"{file}: cannot be read as CSV: holds no values")
-    return pd.DataFrame(_each(raw, lambda cell: cell.str.strip().replace("", None)), columns=raw.columns, dtype=object)
+    for j, column in raw.items():
+        trimmed = pc.utf8_trim_whitespace(pa.array(column, from_pandas=True, type=pa.large_string()))
+        raw[j] = pd.Series(pc.if_else(pc.equal(trimmed, ""), None, trimmed).to_pandas(), dtype="str")
+    return raw
 
 
 def _each(cells: pd.DataFrame, change: Callable[[pd.Series], pd.Series]) -> AnyArray:
@@ -247,22 +256,30 @@ def _arrangement(text: str, file: Path, separators: str) -> tuple[int, str, int]
     return above, separator, width
 
 
-def _decimal_mark(cells: pd.DataFrame, separator: str) -> str:
+def _decimal_mark(cells: pd.DataFrame, others: pd.DataFrame, separator: str) -> str:
+    """The mark before decimals in most cells; only `others` than plain numbers, of a point, may hold commas."""
     marks = Counter[str]()
-    for mark, other in (".,", ",."):  # three digits may follow a mark between thousands, but not after 0 or 1234
+    for mark, other in (",.", ".,"):  # three digits may follow a mark between thousands, but not after 0 or 1234
         pattern = rf"[-+]?([\d' {other}]*\{mark}(\d{{1,2}}|\d{{4,}})|(0|\d{{4,}})?\{mark}\d{{3}})"
-        marks[mark] = int(_each(cells, lambda cell, pattern=pattern: cell.str.fullmatch(pattern, na=False)).sum())  # type: ignore[misc]
+        given = others if mark == "," else cells
+        marks[mark] = int(_each(given, lambda cell, pattern=pattern: cell.str.fullmatch(pattern, na=False)).sum())  # type: ignore[misc]
+        if not marks[","] and separator != ";":
+            return "."
     if marks["."] == marks[","]:
         return "," if separator == ";" else "."
     return max(marks, key=lambda mark: marks[mark])
 
 
 def _plain_numbers(cells: pd.DataFrame) -> dict[Any, FloatArray]:
-    """The columns that hold finite numbers and gaps alone, read in one go: there may be thousands."""
-    numbers = pd.to_numeric(cells.to_numpy(dtype=object).ravel(), errors="coerce").reshape(cells.shape)
-    gaps = cells.isna().to_numpy()
-    plain = (np.isfinite(numbers) | gaps).all(axis=0) & ~gaps.all(axis=0)
-    return {name: numbers[:, j].astype(float) for j, name in enumerate(cells.columns) if plain[j]}
+    """The columns that hold finite numbers, with a point if any, and gaps alone."""
+    plain = {}
+    for name, column in cells.items():
+        text = pa.array(column, from_pandas=True, type=pa.large_string())
+        with suppress(pa.ArrowInvalid):
+            numbers = pc.cast(text, pa.float64()).to_numpy(zero_copy_only=False)
+            if np.isfinite(numbers).sum() == len(text) - text.null_count > 0:
+                plain[name] = numbers
+    return plain
 
 
 def _numbers(file: Path, column: pd.Series, decimal: str, thousands: str | None) -> pd.Series | None:
@@ -310,15 +327,17 @@ def _dates(column: pd.Series, separator: str, prefers_day_first: bool) -> pd.Ser
     return dates if dates.notna().sum() >= _MIN_SHARE * len(given) else None
 
 
+def _all_grouped(marked: pd.Series) -> bool:
+    return bool(re.fullmatch(_GROUPED, marked.iloc[0])) and bool(marked.str.fullmatch(_GROUPED).all())
+
+
 def _doubts(column: pd.Series, numbers: FloatArray, written: CsvFormat) -> list[str]:
     """Notes on numbers that could mean another thing."""
     notes = []
     present = ~np.isnan(numbers)
-    pairs = zip(column.to_numpy()[present], numbers[present], strict=True)
-    marked = ((cell, number) for cell, number in pairs if "." in cell or "," in cell)
-    cell, number = next(marked, ("", 0.0))
-    doubtful = re.fullmatch(_GROUPED, cell) and not (written.decimal or written.thousands)
-    if doubtful and all(re.fullmatch(_GROUPED, other) for other, _ in marked):
+    marked = np.flatnonzero(present & column.str.contains("[.,]", na=False).to_numpy(dtype=np.bool_))
+    if marked.size and not (written.decimal or written.thousands) and _all_grouped(column.iloc[marked]):
+        cell, number = column.iloc[marked[0]], numbers[marked[0]]
         notes.append(f"{cell!r} is read as {number:.12g}; else name --thousands or --decimal")
     codes = numbers[np.isin(numbers, _CODES)]
     if len(codes) > 1 and codes[0] in (np.nanmin(numbers), np.nanmax(numbers)):

@@ -301,7 +301,7 @@ def cells_of(at: FloatArray, grid: FloatArray) -> IntArray:
     upper = np.append(grid[1:-1], np.inf)
     while (above := upper.take(cell) < at).any():
         cell += above
-    return cell
+    return np.asarray(cell)
 
 
 def log_density(proba: FloatArray, codes: IntArray, widths: FloatArray) -> FloatArray:
