@@ -7,9 +7,9 @@ import io
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,11 @@ _DATE = (  # with a year of four digits, or two at the end
 )
 _COMPACT = r"^(\d{4})(\d{2})(\d{2})T(\d{2})(\d{2})(\d{2})$"  # ISO 8601 without marks
 _GROUPED = r"[-+]?[1-9]\d{0,2}([.,' ])\d{3}(?:\1\d{3})*(?:[.,]\d*)?"  # marks between thousands
+_ONE_DECIMAL = r"[-+]?(\d*\{mark}(\d{{1,2}}|\d{{4,}})|(0|\d{{4,}})?\{mark}\d{{3}})"  # a mark between no thousands
+_WITH_UNIT = (  # a limit, a currency, a number, and a unit: after a space, a sign, or letters that are no code
+    r"^(?P<limit>[<>≤≥]=?)?\s*(?P<before>[$€£¥])?\s*(?P<number>[-+]?[\d.,' ]*\d[\d.,]*(?:[eE][-+]?\d+)?)"
+    r"(?P<after>\s+[^\d\s.,;:-][^\d\s]{0,11}|[%‰°€$£¥][^\d\s]{0,3}|[mgls]|[^\W\d_]{2,12}(?:/[^\W\d_]+)?)?$"
+)
 _NUMBER = r"[-+]?[\d.,]*\d[\d.,]*(e[-+]?\d+)?"
 _FEWEST_LINES = 3
 _WORDS = ("NA", "N/A", "n/a", "NaN", "nan", "-NaN", "-nan", "NULL", "null", "None", "<NA>", "#NA", "#N/A")
@@ -53,7 +58,19 @@ class CsvFormat:
     na_values: Sequence[str] = ()
     day_first: Sequence[str] = ()  # columns of dates whose days come before their months where nothing else tells
     labels: Sequence[str] = ()  # columns of text in which "None" and "NA" are labels
+    dates: Mapping[str, str] = field(default_factory=dict)  # formats of columns of dates, as of strptime
+    units: Mapping[str, str] = field(default_factory=dict)  # of columns of the file learnt from; "" where there is none
     verbatim: Sequence[str] = ()  # columns that stay the text that is written, such as identifiers
+
+
+@dataclass
+class ReadFormat:
+    """How a file has turned out to be written, in ``attrs["format"]`` of its table."""
+
+    day_first: list[str] = field(default_factory=list)
+    labels: list[str] = field(default_factory=list)
+    units: dict[str, str] = field(default_factory=dict)
+    unfit: dict[str, str] = field(default_factory=dict)  # columns that can be no target, and why
 
 
 def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFrame, list[str]]:
@@ -87,37 +104,70 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
         )
     words = _each(others, lambda cell: cell.isin(_WORDS)).astype(np.bool_)
     clear = others.mask(words) if words.any() else others
-    decimal, columns, day_first = written.decimal or _decimal_mark(cells, clear, separator), {}, list[str]()
-    labels = list[str]()
+    decimal = written.decimal or _decimal_mark(cells, clear, separator)
     plain = numbers if decimal == "." and not written.thousands else {}
+    reader, columns = _ColumnReader(file, separator, decimal, written), {}
     for name, raw in cells.items():
-        column = clear.get(name, raw)
         if name in written.verbatim:
             columns[name] = raw.astype("str")
             continue
-        if name in plain:
-            columns[name] = plain[name]
-            notes += [f"{name}: {note}" for note in _doubts(column, plain[name], written)]
-            continue
-        values = _numbers(file, column, decimal, written.thousands)
-        if values is None:
-            values = _dates(column, separator, str(name) in written.day_first)
-            day_first += [] if values is None or not values.attrs["day_first"] else [str(name)]
-        if values is None:
-            values, more = _text_column(raw, column, name in written.labels)
-            labels += [str(name)] if values.notna().sum() > column.notna().sum() else []
-            notes += more
-        columns[name] = values
-        if values.dtype.kind == "M":
-            at = (values.dt.day != values.dt.month).where(values.notna(), False).idxmax()
-            notes.append(f"{name}: dates, of which {column[at]!r} is read as {values[at]:%Y-%m-%d}")
-        elif values.dtype.kind == "f":
-            notes += [f"{name}: {note}" for note in _doubts(column, values.to_numpy(), written)]
-        if len(lost := column[values.isna() & column.notna()]):
-            notes.append(f"{name}: {counted(len(lost), 'value')} taken as missing, such as {lost.iloc[0]!r}")
+        column = clear.get(name, raw)
+        columns[name], told = reader.read(raw, column, plain.get(name))
+        lost = column[columns[name].isna() & column.notna()]
+        if len(lost):
+            told = [*told, f"{counted(len(lost), 'value')} taken as missing, such as {_place(lost)}"]
+        notes += [f"{name}: {note}" for note in told]
     frame = pd.DataFrame(columns, cells.index)
-    frame.attrs["day_first"], frame.attrs["labels"] = day_first, labels
+    frame.attrs["format"] = asdict(reader.form)
     return frame, notes
+
+
+class _ColumnReader:
+    """Reads the columns of a file, and gathers how they are written."""
+
+    def __init__(self, file: Path, separator: str, decimal: str, written: CsvFormat) -> None:
+        self.file, self.separator, self.decimal, self.written = file, separator, decimal, written
+        self.form = ReadFormat()
+
+    def read(self, raw: pd.Series, column: pd.Series, plain: FloatArray | None) -> tuple[pd.Series, list[str]]:
+        """The values of a column, with missing words in it or without, that may be plain numbers; and notes."""
+        name = str(column.name)
+        if form := self.written.dates.get(name):
+            return self._dates_as(column, form), []
+        if plain is not None:
+            reading = _Reading(pd.Series(plain, column.index))
+        else:
+            reading = _numbers(self.file, column, self.decimal, self.written)
+        if reading.unfit:
+            self.form.unfit[name] = reading.unfit
+        if reading.values is not None:
+            self._check_unit(name, reading.unit)
+            return reading.values, [*reading.notes, *_doubts(column, reading.values.to_numpy(), self.written)]
+        if (dates := _dates(column, self.separator, self.written)) is not None:
+            self.form.day_first += [name] if dates.attrs["day_first"] else []
+            at = (dates.dt.day != dates.dt.month).where(dates.notna(), False).idxmax()
+            return dates, [*reading.notes, f"dates, of which {column[at]!r} is read as {dates[at]:%Y-%m-%d}"]
+        text, more = _text_column(raw, column, name in self.written.labels)
+        self.form.labels += [name] if text.notna().sum() > column.notna().sum() else []
+        return text, [*reading.notes, *more]
+
+    def _dates_as(self, column: pd.Series, form: str) -> pd.Series:
+        try:
+            dates = pd.to_datetime(column, format=form, errors="coerce", utc=True).dt.tz_localize(None)
+        except ValueError as exc:
+            raise TableError(f"--date {column.name}={form}: {exc}") from None
+        lost = column[dates.isna() & column.notna()]
+        if len(lost) > (1 - _MIN_SHARE) * column.notna().sum():
+            raise TableError(f"{self.file}: column {column.name!r} must hold dates as {form}, got {_place(lost)}")
+        return dates
+
+    def _check_unit(self, name: str, unit: str) -> None:
+        before = self.written.units.get(name, unit)
+        if unit != before:
+            units = [repr(one) if one else "no unit" for one in (unit, before)]
+            raise TableError(f"{self.file}: column {name!r} has {units[0]}, and had {units[1]} in the file learnt from")
+        if unit:
+            self.form.units[name] = unit
 
 
 def _text_column(raw: pd.Series, column: pd.Series, labelled: bool) -> tuple[pd.Series, list[str]]:
@@ -125,7 +175,7 @@ def _text_column(raw: pd.Series, column: pd.Series, labelled: bool) -> tuple[pd.
     words = raw[column.isna() & raw.notna()]
     if words.empty:
         return column.astype("str"), []
-    told = f"{column.name}: {words.iloc[0]!r} in {counted(len(words), 'cell')}"
+    told = f"{words.iloc[0]!r} in {counted(len(words), 'cell')}"
     if labelled or (raw.notna().all() and column.notna().any()):
         return raw.astype("str"), [f"{told} is a label; --na-values={words.iloc[0]} if it means missing"]
     return column.astype("str"), [f"{told} is taken as missing"]
@@ -142,7 +192,7 @@ def _read_parquet(file: Path) -> tuple[pd.DataFrame, list[str]]:
             frame[name] = pd.to_datetime(column, utc=True).dt.tz_localize(None)
         else:
             frame[name] = pd.Series(as_column(column, name)).replace("", None)
-    frame.attrs["day_first"], frame.attrs["labels"] = [], []
+    frame.attrs["format"] = asdict(ReadFormat())
     return frame, [f"{file}: {counted(len(frame), 'row')}, {counted(frame.shape[1], 'column')}"]
 
 
@@ -282,49 +332,128 @@ def _plain_numbers(cells: pd.DataFrame) -> dict[Any, FloatArray]:
     return plain
 
 
-def _numbers(file: Path, column: pd.Series, decimal: str, thousands: str | None) -> pd.Series | None:
-    """The numbers of a column of text; None if it holds none."""
-    given = column.dropna()
-    given = given.str.replace(rf"(?<=\d)[{_SPACES}](?=\d{{3}}(?!\d))", "", regex=True).str.replace(_MINUS, "-")
-    grouped = given.str.fullmatch(_GROUPED)
-    digits = given
+@dataclass
+class _Reading:
+    """The numbers (n,) of a column, if it holds some, their unit, what is to be told, and why it can be no target."""
+
+    values: pd.Series | None = None
+    unit: str = ""
+    notes: list[str] = field(default_factory=list)
+    unfit: str = ""
+
+
+def _numbers(file: Path, column: pd.Series, decimal: str, written: CsvFormat) -> _Reading:
+    """The numbers of a column of text."""
+    given = column.dropna().drop_duplicates()  # at the line where each occurs first
+    codes = column.factorize()[0]
+    times = np.bincount(codes[codes >= 0], minlength=len(given))
+    if given.empty:
+        return _Reading()
+    text = given.str.replace(rf"(?<=\d)[{_SPACES}](?=\d{{3}}(?!\d))", "", regex=True).str.replace(_MINUS, "-")
+    numbers, grouped = _parsed(text, decimal, written.thousands)
+    parts = text.where(numbers.isna() & ~grouped).str.extract(_WITH_UNIT)
+    inner, inner_grouped = _parsed(parts["number"], decimal, written.thousands)
+    other = "," if decimal == "." else "."
+    mixed = parts["number"].str.fullmatch(_ONE_DECIMAL.format(mark=other), na=False) & inner.isna()
+    if written.decimal or written.thousands:
+        mixed &= False
+    inner = inner.fillna(pd.to_numeric(parts["number"].where(mixed).str.replace(",", "."), errors="coerce"))
+    grouped |= inner_grouped & inner.isna()
+    if times @ (numbers.notna() | inner.notna() | grouped) < _MIN_SHARE * times.sum():
+        return _Reading()
+    at = grouped | (numbers.notna() & text.str.fullmatch(_GROUPED) & mixed.any())
+    if at.any():
+        beside = f", as {_place(given[mixed])} has another mark before decimals" if mixed.any() else ""
+        doubt = f"{_place(given[at])} may have marks between thousands{beside}"
+        raise TableError(f"{file}: column {column.name!r}: {doubt}; give --thousands or --decimal")
+    reading = _Reading()
+    limits, marks = (
+        inner.notna() & parts["limit"].notna(),
+        parts["before"].fillna("") + parts["after"].fillna("").str.strip(),
+    )
+    units = marks.where(inner.notna(), "").where(numbers.notna() | inner.notna())
+    names = list(dict.fromkeys(units.dropna()))
+    if limits.any() and times @ limits > times.sum() / 2:
+        return _Reading()
+    if len(names) == 1:
+        reading.unit = names[0]
+        if reading.unit:
+            reading.notes.append(f"numbers in {reading.unit!r}, of which {_place(given[units.notna()])}")
+    else:
+        first = [_place(given[units == name]) for name in names[:_SHOWN]]
+        reading.unfit = f"has numbers in several units, or in none: {listed(first)}"
+        inner = inner.where(marks == "")
+        if times @ (numbers.notna() | inner.notna()) < _MIN_SHARE * times.sum():
+            return _Reading(notes=[f"{reading.unfit}; read as text. Write all in one unit"], unfit=reading.unfit)
+    limits &= inner.notna()
+    if limits.any():
+        reading.notes.append(
+            f"{counted(int(times @ limits), 'value')}, such as {_place(given[limits])}, read as the limit"
+        )
+        reading.unfit = f"has values of which only a limit is known: {_place(given[limits])}"
+    if mixed.any():
+        name = "comma" if other == "," else "point"
+        reading.notes.append(
+            f"{counted(int(times @ mixed), 'value')}, such as {_place(given[mixed])}, read with a decimal {name}"
+        )
+    found = numbers.fillna(inner).astype(float).replace([np.inf, -np.inf], np.nan).to_numpy()
+    reading.values = pd.Series(np.append(found, np.nan)[codes], column.index, name=column.name)
+    return reading
+
+
+def _place(cells: pd.Series) -> str:
+    """The first of some cells, and where it is."""
+    return f"{cells.iloc[0]!r} in line {cells.index[0]}"
+
+
+def _parsed(text: pd.Series, decimal: str, thousands: str | None) -> tuple[pd.Series, pd.Series]:
+    """The numbers of text, NaN where it holds none, and where marks may stand between thousands."""
+    grouped = text.str.fullmatch(_GROUPED, na=False)
+    digits = text
     if thousands:
-        marked = given.str.contains(thousands, regex=False)
-        digits = given.where(~marked | grouped).str.replace(thousands, "", regex=False)
+        marked = text.str.contains(thousands, regex=False, na=False)
+        digits = text.where(~marked | grouped).str.replace(thousands, "", regex=False)
     if decimal != ".":
         digits = digits.where(~digits.str.contains(".", regex=False, na=False)).str.replace(decimal, ".", regex=False)
     numbers = pd.to_numeric(digits, errors="coerce")
-    grouped &= numbers.isna()
-    if given.empty or (numbers.notna() | grouped).mean() < _MIN_SHARE:
-        return None
-    if grouped.any():
-        doubt = f"{given[grouped].iloc[0]!r} may have marks between thousands"
-        raise TableError(f"{file}: column {column.name!r}: {doubt}; give --thousands or --decimal")
-    return numbers.astype(float).replace([np.inf, -np.inf], np.nan).reindex(column.index)
+    return numbers, grouped & numbers.isna()
 
 
-def _dates(column: pd.Series, separator: str, prefers_day_first: bool) -> pd.Series | None:
+def _dates(column: pd.Series, separator: str, written: CsvFormat) -> pd.Series | None:
     """Dates, in UTC where they have a time zone; None where they are none, or the month is not known."""
-    given = column.dropna().str.replace(_COMPACT, r"\1-\2-\3 \4:\5:\6", regex=True)
-    parts = given.str.extract(_DATE)
-    if given.empty or parts[0].notna().mean() < _MIN_SHARE:
+    codes, distinct = column.factorize()
+    times = np.bincount(codes[codes >= 0], minlength=len(distinct))
+    texts = pd.Series(np.asarray(distinct, dtype=object), dtype="str")
+    dates, day_first = _recognised_dates(texts, times, separator, column.name in written.day_first)
+    if dates is None or times @ dates.notna() < _MIN_SHARE * times.sum():
         return None
+    known = dates.dt.tz_localize(None).to_numpy()
+    result = pd.Series(np.append(known, np.datetime64("NaT"))[codes], column.index)
+    result.attrs["day_first"] = day_first
+    return result
+
+
+def _recognised_dates(
+    texts: pd.Series, times: IntArray, separator: str, prefers_day_first: bool
+) -> tuple[pd.Series | None, bool]:
+    """Dates of distinct texts, of which each occurs some `times`, and whether days come first."""
+    given = texts.str.replace(_COMPACT, r"\1-\2-\3 \4:\5:\6", regex=True)
+    parts = given.str.extract(_DATE)
+    if given.empty or times @ parts[0].notna() < _MIN_SHARE * times.sum():
+        return None, False
     first, second = (pd.to_numeric(parts[k], errors="coerce") for k in (0, 2))
     year_first = first > 31
     day_first = bool((first[~year_first] > 12).any())
     month_first = bool((second[~year_first] > 12).any())
     if day_first and month_first:
-        return None
+        return None, False
     pointed = bool(given[~year_first].str.match(r"\d+\.").all())
     day_first |= not month_first and (prefers_day_first or separator == ";" or pointed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of days and months in another order
         how: dict[str, Any] = {"errors": "coerce", "format": "mixed", "utc": True}
         dates = pd.to_datetime(given.mask(year_first), dayfirst=day_first, **how)
-        dates = dates.fillna(pd.to_datetime(given.where(year_first), **how))
-    dates = dates.dt.tz_localize(None).reindex(column.index)
-    dates.attrs["day_first"] = day_first
-    return dates if dates.notna().sum() >= _MIN_SHARE * len(given) else None
+        return dates.fillna(pd.to_datetime(given.where(year_first), **how)), day_first
 
 
 def _all_grouped(marked: pd.Series) -> bool:

@@ -44,6 +44,8 @@ def predict(
     reg = ConformalRegressor.load(model)
     how = getattr(reg, "file_format_", {})
     written = {**how.get("csv", {}), "verbatim": how.get("identifiers", ())}
+    if "units" in how:
+        written["units"] = {name: how["units"].get(name, "") for name in reg.columns_}
     names, n_rows, chunks = _open(file, reg, CsvFormat("\t" if sep == r"\t" else sep, **written))
     if not n_rows:
         raise TableError(f"{file}: holds no rows")
