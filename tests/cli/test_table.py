@@ -2,6 +2,7 @@
 
 import json
 import sys
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -261,6 +262,7 @@ def test_the_command_prints_what_it_used_and_the_coverage_of_each_group(tmp_path
     X["age"] = X["dose"].fillna(0) + 0.1 * X["age"]
     X.to_csv(tmp_path / "own.csv", sep=";", decimal=",", index=False, encoding="utf-8-sig")
     outputs = ("--model", tmp_path / "reg.cm", "--plot", tmp_path / "own.png")
+    warnings.simplefilter("error", UserWarning)  # what is to be known is told as a note
     for options in (("--unit", "name"), ("--split", "time"), ("--group", "ward")):  # what it has written it replaces
         result = invoke("table", tmp_path / "own.csv", "--target", "dose", *outputs, *options)
         assert result.exit_code == 0, result.output

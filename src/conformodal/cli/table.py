@@ -27,8 +27,8 @@ from conformodal.core.extras import require_extra
 from conformodal.core.words import counted, listed, readable
 
 from .console import OUTPUT_PANEL, AsJson, Group, Quiet, print_json, report_line, warning_lines
-from .table_csv import CsvFormat, TableError, read_table
-from .table_predict import predict
+from .table_csv import CsvFormat, TableError, date_formats, read_table
+from .table_predict import DateFormats, DecimalMark, NaValues, Separator, ThousandsMark, predict
 
 _FEWEST_ROWS = 50  # a fifth is tested, and a fifth of the rest calibrates
 _SHOWN, _NAMED, _MAX_DRAWN = 3, 20, 200  # rows, columns, rows of a picture
@@ -40,10 +40,7 @@ _INDEX = r"column 1|index|Unnamed: \d+"  # the first of them stands for no name
 _TOTAL = (
     r"(?i)(grand |sub|sub-)?totals?|(grand )?total .*|sums?|summe|gesamt|insgesamt|somme|totale|suma|average|mean|Σ"
 )
-_data, _reading, _output = (
-    partial(typer.Option, rich_help_panel=panel)
-    for panel in ("Rows and regions", "How the file is written", OUTPUT_PANEL)
-)
+_data, _output = (partial(typer.Option, rich_help_panel=panel) for panel in ("Rows and regions", OUTPUT_PANEL))
 
 
 class _FitByDefault(Group):
@@ -80,15 +77,11 @@ def fit(
     split: Annotated[
         RowSplit, _data(help="Rows that test and calibrate: at random, or the last in time.")
     ] = RowSplit.RANDOM,
-    sep: Annotated[str | None, _reading(help="Separator; recognised by default.")] = None,
-    decimal: Annotated[str | None, _reading(help="Mark before decimals; recognised by default.")] = None,
-    thousands: Annotated[str | None, _reading(help="Mark between thousands; none by default.")] = None,
-    na_values: Annotated[
-        list[str] | None, _reading("--na-values", "--na", help="Text that means a missing value; repeatable.")
-    ] = None,
-    date: Annotated[
-        list[str] | None, _reading(help="COLUMN=FORMAT of dates, such as 'sold=%d.%m.%y'; repeatable.")
-    ] = None,
+    sep: Separator = None,
+    decimal: DecimalMark = None,
+    thousands: ThousandsMark = None,
+    na_values: NaValues = None,
+    date: DateFormats = None,
     alpha: Annotated[str, _data(help="Miscoverage rate.")] = "0.1",
     y_min: Annotated[float, _data("--min", help="Value that no target falls below, such as 0.")] = -np.inf,
     y_max: Annotated[float, _data("--max", help="Value that no target exceeds.")] = np.inf,
@@ -107,7 +100,7 @@ def fit(
     if unit is not None and (group or split is RowSplit.TIME):
         raise TableError("--unit cannot be used with --group or --split time")
     written: dict[str, Any] = {"decimal": decimal, "thousands": thousands}
-    written |= {"na_values": na_values or [], "dates": _date_formats(date or [])}
+    written |= {"na_values": na_values or [], "dates": date_formats(date or [])}
     frame, notes = read_table(file, CsvFormat("\t" if sep == r"\t" else sep, **written))
     left_out = [name for given in exclude or () for name in ([given] if given in frame else given.split(","))]
     left_out += [] if unit is None else [unit]
@@ -162,13 +155,6 @@ def fit(
 
 def _warnings_as_notes() -> AbstractContextManager[None]:
     return warning_lines(UserWarning, lambda text: report_line(f"note: {text}", bold=True))
-
-
-def _date_formats(given: list[str]) -> dict[str, str]:
-    pairs = [one.partition("=") for one in given]
-    if wrong := [name for name, _, form in pairs if not (name and form)]:
-        raise TableError(f"--date must be COLUMN=FORMAT, such as 'sold=%d.%m.%y', got {wrong[0]!r}")
-    return {name: form for name, _, form in pairs}
 
 
 app.command()(predict)

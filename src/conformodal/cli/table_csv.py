@@ -63,6 +63,14 @@ class CsvFormat:
     verbatim: Sequence[str] = ()  # columns that stay the text that is written, such as identifiers
 
 
+def date_formats(given: Sequence[str]) -> dict[str, str]:
+    """Formats of columns of dates from ``COLUMN=FORMAT``."""
+    pairs = [one.partition("=") for one in given]
+    if wrong := [name for name, _, form in pairs if not (name and form)]:
+        raise TableError(f"--date must be COLUMN=FORMAT, such as 'sold=%d.%m.%y', got {wrong[0]!r}")
+    return {name: form for name, _, form in pairs}
+
+
 @dataclass
 class ReadFormat:
     """How a file has turned out to be written, in ``attrs["format"]`` of its table."""
