@@ -305,6 +305,35 @@ def test_rows_without_a_group_are_counted_and_answered():
     np.testing.assert_array_equal(table.filter(like="_low").to_numpy()[:, 0], regions.hull[:, 0, 0])
 
 
+@pytest.mark.parametrize("form", ["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S", "%Y%m%dT%H%M%S", "%Y-%m-%d %H:%M+00:00"])
+def test_text_of_iso_dates_is_dates_and_it_is_said(form):
+    polars = pytest.importorskip("polars")
+    rng, days = np.random.default_rng(0), pd.date_range("2024-01-01", periods=366)
+    when = days[rng.integers(366, size=300)]
+    y = when.dayofyear + rng.normal(size=300)
+    dated, text = pd.DataFrame({"when": when}), pd.DataFrame({"when": when.strftime(form)})
+    text.loc[7, "when"] = dated.loc[7, "when"] = None
+    fresh = ConformalRegressor(random_state=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataWarning)
+        expected = fresh.fit(dated, y).predict_region(dated).hull
+    for X in (text, polars.from_pandas(text)):
+        with pytest.warns(DataWarning, match=f"when is read as dates, from text such as '{re.escape(text.when[0])}'"):
+            reg = ConformalRegressor(random_state=0).fit(X, y)
+        np.testing.assert_array_equal(reg.predict_region(X).hull, expected)
+        assert X["when"][0] == text.when[0]  # not changed
+    with pytest.raises(ConformodalError, match="column when held dates"):
+        reg.predict(pd.DataFrame({"when": ["soon", "later"]}))
+
+
+@pytest.mark.parametrize("labels", [["2024-01-01", "never"], ["20240101", "20240102"], ["2024-01", "2024-02"]])
+def test_other_text_stays_text(labels):
+    X = pd.DataFrame({"k": np.resize(labels, 60), "x": np.arange(60.0)})
+    reg = ConformalRegressor(random_state=0, unlike="ignore").fit(X, np.random.default_rng(0).normal(size=60))
+    assert reg.text_dates_ == {}
+    assert reg.memory_.columns[0].labels == dict.fromkeys(labels, 30)
+
+
 def test_a_time_in_another_time_zone_is_the_same_time():
     rng, hours = np.random.default_rng(0), pd.date_range("2024-03-01", periods=300, freq="h", tz="UTC")
     order = rng.permutation(300)
