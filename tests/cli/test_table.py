@@ -2,6 +2,7 @@
 
 import json
 import sys
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -45,7 +46,7 @@ def test_an_export_of_a_german_spreadsheet_is_read(tmp_path):
         ("a;b\n0.125;x\n2.345;y\n", [0.125, 2.345]),
         ("a;b\n1.234;0.5\n2.345;0.25\n", [1.234, 2.345]),
         ("a|b\n-1e3|x\n2|y\n", [-1000, 2]),
-        ("a,b\n5 mm,x\n6 mm,y\n", ["5 mm", "6 mm"]),
+        ("a,b\n5 mm,x\n6 cm,y\n", ["5 mm", "6 cm"]),
         ("a,b\n(1.5),x\n2,y\n", ["(1.5)", "2"]),
     ],
 )
@@ -261,6 +262,7 @@ def test_the_command_prints_what_it_used_and_the_coverage_of_each_group(tmp_path
     X["age"] = X["dose"].fillna(0) + 0.1 * X["age"]
     X.to_csv(tmp_path / "own.csv", sep=";", decimal=",", index=False, encoding="utf-8-sig")
     outputs = ("--model", tmp_path / "reg.cm", "--plot", tmp_path / "own.png")
+    warnings.simplefilter("error", UserWarning)  # what is to be known is told as a note
     for options in (("--unit", "name"), ("--split", "time"), ("--group", "ward")):  # what it has written it replaces
         result = invoke("table", tmp_path / "own.csv", "--target", "dose", *outputs, *options)
         assert result.exit_code == 0, result.output
@@ -377,6 +379,63 @@ def test_typographic_marks_of_few_numbers_are_read(tmp_path, mark, times):
     frame, notes = read_table(tmp_path / "t.csv")
     assert frame["y"].tolist() == [values[0]] + [values[1]] * times
     assert not [note for note in notes if "missing" in note]
+
+
+UNITS = {
+    "a unit": (["12 kg", "3.5 kg", "7 kg"], [12, 3.5, 7], "numbers in 'kg', of which '12 kg' in line 2"),
+    "percent": (["5%", "12.5 %", "7 %"], [5, 12.5, 7], "numbers in '%', of which '5%' in line 2"),
+    "a currency": (["$5", "$12.50", "$7"], [5, 12.5, 7], "numbers in '$', of which '$5' in line 2"),
+    "limits": (["3", "<0.5", "2"], [3, 0.5, 2], "1 value, such as '<0.5' in line 3, read as the limit"),
+    "decimal commas": (["3.5", "1,25", "2.5"], [3.5, 1.25, 2.5], "such as '1,25' in line 3, read with a decimal comma"),
+    "several units": (["12 kg", "300 g", "7 kg"], None, "'12 kg' in line 2 and '300 g' in line 3; read as text"),
+    "some percent": (["12 %", "0.3", "7 %"], None, "'12 %' in line 2 and '0.3' in line 3; read as text"),
+    "codes": (["12A", "3B", "7C"], None, None),
+    "limits alone": (["<10", ">20", "<10"], None, None),
+}
+
+
+@pytest.mark.parametrize("case", UNITS)
+def test_numbers_with_units_limits_and_other_marks_are_read_if_clear(tmp_path, case):
+    cells, expected, told = UNITS[case]
+    (tmp_path / "t.csv").write_text("v;x\n" + "".join(f"{cell};0.5\n" for cell in cells))
+    frame, notes = read_table(tmp_path / "t.csv")
+    assert frame["v"].tolist() == (cells if expected is None else expected)
+    notes = [note for note in notes if note.startswith("v: ")]
+    assert len(notes) == (told is not None)
+    assert told is None or told in notes[0]
+
+
+@pytest.mark.parametrize("cells", [["3", "<0.5", "2"], ["12 kg", "300 g", "7 kg"], ["1", "2 %"] + ["3"] * 40])
+def test_a_target_of_limits_or_several_units_is_refused(tmp_path, cells):
+    (tmp_path / "t.csv").write_text("v;x\n" + "".join(f"{cell};0.5\n" for cell in cells))
+    frame, _ = read_table(tmp_path / "t.csv")
+    with pytest.raises(TableError, match=r"target 'v' has .* in line 3"):
+        choose_columns(frame, ["v"], None, "t.csv")
+
+
+def test_marks_of_both_kinds_that_may_stand_between_thousands_are_refused(tmp_path):
+    (tmp_path / "t.csv").write_text("v;x\n1.234;0.5\n2,5;0.5\n1.5;0.5\n")
+    with pytest.raises(TableError, match=r"'1\.234' in line 2 may have marks .* as '2,5' in line 3 has another mark"):
+        read_table(tmp_path / "t.csv")
+
+
+def test_another_unit_than_that_learnt_from_is_refused(tmp_path):
+    (tmp_path / "t.csv").write_text("v,x\n12 kg,1\n3 kg,2\n")
+    assert read_table(tmp_path / "t.csv", CsvFormat(units={"v": "kg"}))[0].attrs["format"]["units"] == {"v": "kg"}
+    for before, words in (("g", "'g'"), ("", "no unit")):
+        with pytest.raises(TableError, match=rf"column 'v' has 'kg', and had {words}"):
+            read_table(tmp_path / "t.csv", CsvFormat(units={"v": before}))
+
+
+def test_dates_are_read_in_the_format_that_is_named(tmp_path):
+    (tmp_path / "t.csv").write_text("d,x\n010224,1\n030224,2\n")
+    assert read_table(tmp_path / "t.csv")[0]["d"].tolist() == [10224, 30224]
+    frame, _ = read_table(tmp_path / "t.csv", CsvFormat(dates={"d": "%d%m%y"}))
+    assert frame["d"].tolist() == [pd.Timestamp("2024-02-01"), pd.Timestamp("2024-02-03")]
+    assert frame["x"].tolist() == [1, 2]
+    with pytest.raises(TableError, match=r"'d' must hold dates as %Y-%m-%d, got '010224' in line 2"):
+        read_table(tmp_path / "t.csv", CsvFormat(dates={"d": "%Y-%m-%d"}))
+    assert "COLUMN=FORMAT" in refusal("table", tmp_path / "t.csv", "--target", "x", "--date", "%d%m%y")
 
 
 WORDS = {

@@ -9,6 +9,7 @@ from decimal import Decimal
 import numpy as np
 import pandas as pd
 import pytest
+from joblib import parallel_config
 from scipy import sparse
 from sklearn.compose import make_column_transformer
 from sklearn.ensemble import HistGradientBoostingClassifier
@@ -117,6 +118,17 @@ def test_a_table_of_arrow_is_taken_as_one_of_pandas():
         reg = tree().fit(same, y)
         np.testing.assert_array_equal(reg.predict(same), expected)
         np.testing.assert_array_equal(reg.predict_table(same)[reg.bins_.names[0]], expected)
+
+
+def test_threads_answer_as_one_does(monkeypatch):
+    pa = pytest.importorskip("pyarrow")
+    X, y = frame()
+    numbers = X[["age"]].fillna(50)
+    reg = ConformalRegressor(random_state=0).fit(numbers, y)
+    monkeypatch.setattr("conformodal.conformal.tables._ROWS", 16)
+    expected = reg.predict_table(pa.Table.from_pandas(numbers))
+    with parallel_config("threading", n_jobs=3):
+        assert reg.predict_table(pa.Table.from_pandas(numbers)).equals(expected)
 
 
 def test_columns_in_another_order_are_refused_whatever_their_names_are():
@@ -291,6 +303,35 @@ def test_rows_without_a_group_are_counted_and_answered():
     with pytest.warns(DataWarning, match="10 of 400 rows without a group"):
         table = reg.predict_table(X.assign(site=gaps))
     np.testing.assert_array_equal(table.filter(like="_low").to_numpy()[:, 0], regions.hull[:, 0, 0])
+
+
+@pytest.mark.parametrize("form", ["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S", "%Y%m%dT%H%M%S", "%Y-%m-%d %H:%M+00:00"])
+def test_text_of_iso_dates_is_dates_and_it_is_said(form):
+    polars = pytest.importorskip("polars")
+    rng, days = np.random.default_rng(0), pd.date_range("2024-01-01", periods=366)
+    when = days[rng.integers(366, size=300)]
+    y = when.dayofyear + rng.normal(size=300)
+    dated, text = pd.DataFrame({"when": when}), pd.DataFrame({"when": when.strftime(form)})
+    text.loc[7, "when"] = dated.loc[7, "when"] = None
+    fresh = ConformalRegressor(random_state=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataWarning)
+        expected = fresh.fit(dated, y).predict_region(dated).hull
+    for X in (text, polars.from_pandas(text)):
+        with pytest.warns(DataWarning, match=f"when is read as dates, from text such as '{re.escape(text.when[0])}'"):
+            reg = ConformalRegressor(random_state=0).fit(X, y)
+        np.testing.assert_array_equal(reg.predict_region(X).hull, expected)
+        assert X["when"][0] == text.when[0]  # not changed
+    with pytest.raises(ConformodalError, match="column when held dates"):
+        reg.predict(pd.DataFrame({"when": ["soon", "later"]}))
+
+
+@pytest.mark.parametrize("labels", [["2024-01-01", "never"], ["20240101", "20240102"], ["2024-01", "2024-02"]])
+def test_other_text_stays_text(labels):
+    X = pd.DataFrame({"k": np.resize(labels, 60), "x": np.arange(60.0)})
+    reg = ConformalRegressor(random_state=0, unlike="ignore").fit(X, np.random.default_rng(0).normal(size=60))
+    assert reg.text_dates_ == {}
+    assert reg.memory_.columns[0].labels == dict.fromkeys(labels, 30)
 
 
 def test_a_time_in_another_time_zone_is_the_same_time():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-import warnings
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from difflib import get_close_matches
 from enum import StrEnum
@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 import typer
 
-from conformodal.conformal import ConformalRegressor, DataWarning, Diagnosis, PredictiveDensity, Regions
+from conformodal.conformal import ConformalRegressor, Diagnosis, PredictiveDensity, Regions, diagnose
 from conformodal.conformal.checks import doubt_alpha
 from conformodal.conformal.density.encoder import as_column, varying_parts
 from conformodal.conformal.saving import check_replaceable
@@ -27,8 +27,8 @@ from conformodal.core.extras import require_extra
 from conformodal.core.words import counted, listed, readable
 
 from .console import OUTPUT_PANEL, AsJson, Group, Quiet, print_json, report_line, warning_lines
-from .table_csv import CsvFormat, TableError, read_table
-from .table_predict import predict
+from .table_csv import CsvFormat, TableError, date_formats, read_table
+from .table_predict import DateFormats, DecimalMark, NaValues, Separator, ThousandsMark, predict
 
 _FEWEST_ROWS = 50  # a fifth is tested, and a fifth of the rest calibrates
 _SHOWN, _NAMED, _MAX_DRAWN = 3, 20, 200  # rows, columns, rows of a picture
@@ -40,10 +40,7 @@ _INDEX = r"column 1|index|Unnamed: \d+"  # the first of them stands for no name
 _TOTAL = (
     r"(?i)(grand |sub|sub-)?totals?|(grand )?total .*|sums?|summe|gesamt|insgesamt|somme|totale|suma|average|mean|Σ"
 )
-_data, _reading, _output = (
-    partial(typer.Option, rich_help_panel=panel)
-    for panel in ("Rows and regions", "How the file is written", OUTPUT_PANEL)
-)
+_data, _output = (partial(typer.Option, rich_help_panel=panel) for panel in ("Rows and regions", OUTPUT_PANEL))
 
 
 class _FitByDefault(Group):
@@ -80,10 +77,11 @@ def fit(
     split: Annotated[
         RowSplit, _data(help="Rows that test and calibrate: at random, or the last in time.")
     ] = RowSplit.RANDOM,
-    sep: Annotated[str | None, _reading(help="Separator; recognised by default.")] = None,
-    decimal: Annotated[str | None, _reading(help="Mark before decimals; recognised by default.")] = None,
-    thousands: Annotated[str | None, _reading(help="Mark between thousands; none by default.")] = None,
-    na_values: Annotated[list[str] | None, _reading(help="Text that means a missing value; repeatable.")] = None,
+    sep: Separator = None,
+    decimal: DecimalMark = None,
+    thousands: ThousandsMark = None,
+    na_values: NaValues = None,
+    date: DateFormats = None,
     alpha: Annotated[str, _data(help="Miscoverage rate.")] = "0.1",
     y_min: Annotated[float, _data("--min", help="Value that no target falls below, such as 0.")] = -np.inf,
     y_max: Annotated[float, _data("--max", help="Value that no target exceeds.")] = np.inf,
@@ -101,7 +99,8 @@ def fit(
     _check_outputs(plot, model)
     if unit is not None and (group or split is RowSplit.TIME):
         raise TableError("--unit cannot be used with --group or --split time")
-    written: dict[str, Any] = {"decimal": decimal, "thousands": thousands, "na_values": na_values or []}
+    written: dict[str, Any] = {"decimal": decimal, "thousands": thousands}
+    written |= {"na_values": na_values or [], "dates": date_formats(date or [])}
     frame, notes = read_table(file, CsvFormat("\t" if sep == r"\t" else sep, **written))
     left_out = [name for given in exclude or () for name in ([given] if given in frame else given.split(","))]
     left_out += [] if unit is None else [unit]
@@ -114,9 +113,11 @@ def fit(
     reg = ConformalRegressor(alpha=alpha, joint=joint, random_state=seed, y_min=y_min, y_max=y_max)
     reg.calibration = "random" if split is RowSplit.RANDOM else "last"
     train_groups, test_groups = (X[group].iloc[rows] if group else None for rows in (train, test))
-    with warning_lines(UserWarning, lambda text: report_line(f"note: {text}", bold=True)):
+    with _warnings_as_notes():
         reg.fit(X.iloc[train], y.iloc[train], groups=train_groups, units=None if units is None else units.iloc[train])
-        regions = reg.predict_region(X.iloc[test], groups=test_groups)
+        unlike = reg.compare_rows(X.iloc[test])
+        proba = reg.proba_of(X.iloc[test])
+        regions = reg.regions_of(proba, unlike, None, test_groups)
     several = (regions.n_intervals > 1).any(axis=1)
     for row in sorted({*range(_SHOWN), int(several.argmax())}):
         for name, parts in zip(target, regions.intervals(row), strict=True):
@@ -130,8 +131,7 @@ def fit(
     elif X.select_dtypes("datetime").shape[1]:
         about += "; for that of the last rows in time: --split time"
     report_line(f"coverage below is that of {about}")
-    with warnings.catch_warnings(action="ignore", category=DataWarning):  # which are told above
-        diagnosis = reg.diagnose(X.iloc[test], y.iloc[test], test_groups)
+    diagnosis = diagnose(reg.calibrator_, proba, y.iloc[test].to_numpy(), test_groups)
     for line in str(diagnosis).splitlines():
         report_line(line)
     if split is RowSplit.TIME and any(
@@ -139,16 +139,22 @@ def fit(
     ):
         report_line("the data seem to drift: the last rows are covered less often than chance allows", bold=True)
     if model is not None:
-        others = frame.drop(columns=[*X, *y])
+        others, form = frame.drop(columns=[*X, *y]), frame.attrs["format"]
         reg.file_format_ = {
             "identifiers": [str(name) for name in others if others[name].nunique() > 1],
-            "csv": {**written, "day_first": frame.attrs["day_first"], "labels": frame.attrs["labels"]},
+            "csv": {**written, "day_first": form["day_first"], "labels": form["labels"]},
+            "units": form["units"],
         }
         reg.save(model)
         report_line(f"regressor: {model.resolve()}")
     if plot is not None:
-        _draw(reg.predict_density(X.iloc[test]), regions, y.iloc[test], diagnosis, plot)
+        with _warnings_as_notes():  # such as of letters that the font lacks
+            _draw(PredictiveDensity(reg.bins_, proba), regions, y.iloc[test], diagnosis, plot)
     print_json(json.loads(json.dumps(asdict(diagnosis)), parse_constant=lambda _: None))  # infinite sizes
+
+
+def _warnings_as_notes() -> AbstractContextManager[None]:
+    return warning_lines(UserWarning, lambda text: report_line(f"note: {text}", bold=True))
 
 
 app.command()(predict)
@@ -220,10 +226,7 @@ def choose_columns(
             raise TableError(f"{file}: has no column {name!r}{hint}; it has {', '.join(map(repr, frame.columns))}")
         if [*needed, *excluded].count(name) > 1:
             raise TableError(f"{file}: column {name!r} can only be one of target, group and excluded")
-    for name in targets:
-        if frame[name].dtype.kind != "f":
-            value = str(frame[name].dropna().iloc[:1].squeeze())
-            raise TableError(f"{file}: target {name!r} must hold numbers, got {value!r}; see --decimal and --thousands")
+    _check_targets(frame, targets, file)
     totals = total_rows(frame)
     whole = frame[needed].notna().all(axis=1) & ~totals
     gaps, used, left_out, rows = np.flatnonzero(~whole & ~totals), list[str](), [], frame[whole]
@@ -252,6 +255,17 @@ def choose_columns(
     if group is not None and inputs[group].dtype.kind == "f" and (inputs[group] % 1 == 0).all():
         inputs = inputs.astype({group: int})  # group 2, not 2.0
     return inputs, rows[targets], lines
+
+
+def _check_targets(frame: pd.DataFrame, targets: list[str], file: str) -> None:
+    """Refuse targets that hold other than numbers, or numbers that are not clear."""
+    unfit = frame.attrs.get("format", {}).get("unfit", {})
+    for name in targets:
+        if why := unfit.get(name):
+            raise TableError(f"{file}: target {name!r} {why}; write numbers in one unit, or leave them out")
+        if frame[name].dtype.kind != "f":
+            value = str(frame[name].dropna().iloc[:1].squeeze())
+            raise TableError(f"{file}: target {name!r} must hold numbers, got {value!r}; see --decimal and --thousands")
 
 
 def total_rows(frame: pd.DataFrame) -> pd.Series:

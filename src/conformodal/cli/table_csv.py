@@ -7,14 +7,16 @@ import io
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from conformodal.conformal.density.encoder import as_column, is_time
 from conformodal.core.arrays import AnyArray, FloatArray, IntArray
@@ -30,6 +32,11 @@ _DATE = (  # with a year of four digits, or two at the end
 )
 _COMPACT = r"^(\d{4})(\d{2})(\d{2})T(\d{2})(\d{2})(\d{2})$"  # ISO 8601 without marks
 _GROUPED = r"[-+]?[1-9]\d{0,2}([.,' ])\d{3}(?:\1\d{3})*(?:[.,]\d*)?"  # marks between thousands
+_ONE_DECIMAL = r"[-+]?(\d*\{mark}(\d{{1,2}}|\d{{4,}})|(0|\d{{4,}})?\{mark}\d{{3}})"  # a mark between no thousands
+_WITH_UNIT = (  # a limit, a currency, a number, and a unit: after a space, a sign, or letters that are no code
+    r"^(?P<limit>[<>≤≥]=?)?\s*(?P<before>[$€£¥])?\s*(?P<number>[-+]?[\d.,' ]*\d[\d.,]*(?:[eE][-+]?\d+)?)"
+    r"(?P<after>\s+[^\d\s.,;:-][^\d\s]{0,11}|[%‰°€$£¥][^\d\s]{0,3}|[mgls]|[^\W\d_]{2,12}(?:/[^\W\d_]+)?)?$"
+)
 _NUMBER = r"[-+]?[\d.,]*\d[\d.,]*(e[-+]?\d+)?"
 _FEWEST_LINES = 3
 _WORDS = ("NA", "N/A", "n/a", "NaN", "nan", "-NaN", "-nan", "NULL", "null", "None", "<NA>", "#NA", "#N/A")
@@ -51,7 +58,27 @@ class CsvFormat:
     na_values: Sequence[str] = ()
     day_first: Sequence[str] = ()  # columns of dates whose days come before their months where nothing else tells
     labels: Sequence[str] = ()  # columns of text in which "None" and "NA" are labels
+    dates: Mapping[str, str] = field(default_factory=dict)  # formats of columns of dates, as of strptime
+    units: Mapping[str, str] = field(default_factory=dict)  # of columns of the file learnt from; "" where there is none
     verbatim: Sequence[str] = ()  # columns that stay the text that is written, such as identifiers
+
+
+def date_formats(given: Sequence[str]) -> dict[str, str]:
+    """Formats of columns of dates from ``COLUMN=FORMAT``."""
+    pairs = [one.partition("=") for one in given]
+    if wrong := [name for name, _, form in pairs if not (name and form)]:
+        raise TableError(f"--date must be COLUMN=FORMAT, such as 'sold=%d.%m.%y', got {wrong[0]!r}")
+    return {name: form for name, _, form in pairs}
+
+
+@dataclass
+class ReadFormat:
+    """How a file has turned out to be written, in ``attrs["format"]`` of its table."""
+
+    day_first: list[str] = field(default_factory=list)
+    labels: list[str] = field(default_factory=list)
+    units: dict[str, str] = field(default_factory=dict)
+    unfit: dict[str, str] = field(default_factory=dict)  # columns that can be no target, and why
 
 
 def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFrame, list[str]]:
@@ -75,45 +102,80 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
     cells = _named_cells(raw, file, separator)
     notes = [f"{file}: {counted(len(cells), 'row')}, {counted(cells.shape[1], 'column')} separated by {separator!r}"]
     notes += [f"{counted(above, 'line')} above the names passed over"] if above else []
-    joined = np.flatnonzero(_each(cells, lambda cell: cell.str.contains(r"[\r\n]", na=False)).any(axis=1))
+    numbers = _plain_numbers(cells)
+    others = cells.drop(columns=list(numbers)).astype(object)
+    joined = np.flatnonzero(_each(others, lambda cell: cell.str.contains(r"[\r\n]", na=False)).any(axis=1))
     if joined.size:
         number = counted(joined.size, "row has values", "rows have values")
         notes.append(
             f"{number} of several lines, such as line {cells.index[joined[0]]}; a quote that is not closed joins rows"
         )
-    raw = cells
-    words = _each(cells, lambda cell: cell.isin(_WORDS)).astype(np.bool_)
-    cells = cells.mask(words) if words.any() else cells
-    decimal, columns, day_first = written.decimal or _decimal_mark(cells, separator), {}, list[str]()
-    labels = list[str]()
-    plain = _plain_numbers(cells) if decimal == "." and not written.thousands else {}
-    for name, column in cells.items():
+    words = _each(others, lambda cell: cell.isin(_WORDS)).astype(np.bool_)
+    clear = others.mask(words) if words.any() else others
+    decimal = written.decimal or _decimal_mark(cells, clear, separator)
+    plain = numbers if decimal == "." and not written.thousands else {}
+    reader, columns = _ColumnReader(file, separator, decimal, written), {}
+    for name, raw in cells.items():
         if name in written.verbatim:
-            columns[name] = raw[name].astype("str")
+            columns[name] = raw.astype("str")
             continue
-        if name in plain:
-            columns[name] = plain[name]
-            notes += [f"{name}: {note}" for note in _doubts(column, plain[name], written)]
-            continue
-        values = _numbers(file, column, decimal, written.thousands)
-        if values is None:
-            values = _dates(column, separator, str(name) in written.day_first)
-            day_first += [] if values is None or not values.attrs["day_first"] else [str(name)]
-        if values is None:
-            values, more = _text_column(raw[name], column, name in written.labels)
-            labels += [str(name)] if values.notna().sum() > column.notna().sum() else []
-            notes += more
-        columns[name] = values
-        if values.dtype.kind == "M":
-            at = (values.dt.day != values.dt.month).where(values.notna(), False).idxmax()
-            notes.append(f"{name}: dates, of which {column[at]!r} is read as {values[at]:%Y-%m-%d}")
-        elif values.dtype.kind == "f":
-            notes += [f"{name}: {note}" for note in _doubts(column, values.to_numpy(), written)]
-        if len(lost := column[values.isna() & column.notna()]):
-            notes.append(f"{name}: {counted(len(lost), 'value')} taken as missing, such as {lost.iloc[0]!r}")
+        column = clear.get(name, raw)
+        columns[name], told = reader.read(raw, column, plain.get(name))
+        lost = column[columns[name].isna() & column.notna()]
+        if len(lost):
+            told = [*told, f"{counted(len(lost), 'value')} taken as missing, such as {_place(lost)}"]
+        notes += [f"{name}: {note}" for note in told]
     frame = pd.DataFrame(columns, cells.index)
-    frame.attrs["day_first"], frame.attrs["labels"] = day_first, labels
+    frame.attrs["format"] = asdict(reader.form)
     return frame, notes
+
+
+class _ColumnReader:
+    """Reads the columns of a file, and gathers how they are written."""
+
+    def __init__(self, file: Path, separator: str, decimal: str, written: CsvFormat) -> None:
+        self.file, self.separator, self.decimal, self.written = file, separator, decimal, written
+        self.form = ReadFormat()
+
+    def read(self, raw: pd.Series, column: pd.Series, plain: FloatArray | None) -> tuple[pd.Series, list[str]]:
+        """The values of a column, with missing words in it or without, that may be plain numbers; and notes."""
+        name = str(column.name)
+        if form := self.written.dates.get(name):
+            return self._dates_as(column, form), []
+        if plain is not None:
+            reading = _Reading(pd.Series(plain, column.index))
+        else:
+            reading = _numbers(self.file, column, self.decimal, self.written)
+        if reading.unfit:
+            self.form.unfit[name] = reading.unfit
+        if reading.values is not None:
+            self._check_unit(name, reading.unit)
+            return reading.values, [*reading.notes, *_doubts(column, reading.values.to_numpy(), self.written)]
+        if (dates := _dates(column, self.separator, self.written)) is not None:
+            self.form.day_first += [name] if dates.attrs["day_first"] else []
+            at = (dates.dt.day != dates.dt.month).where(dates.notna(), False).idxmax()
+            return dates, [*reading.notes, f"dates, of which {column[at]!r} is read as {dates[at]:%Y-%m-%d}"]
+        text, more = _text_column(raw, column, name in self.written.labels)
+        self.form.labels += [name] if text.notna().sum() > column.notna().sum() else []
+        return text, [*reading.notes, *more]
+
+    def _dates_as(self, column: pd.Series, form: str) -> pd.Series:
+        try:
+            dates = pd.to_datetime(column, format=form, errors="coerce", utc=True).dt.tz_localize(None)
+        except ValueError as exc:
+            raise TableError(f"--date {column.name}={form}: {exc}") from None
+        lost = column[dates.isna() & column.notna()]
+        if len(lost) > (1 - _MIN_SHARE) * column.notna().sum():
+            raise TableError(f"{self.file}: column {column.name!r} must hold dates as {form}, got {_place(lost)}")
+        return dates
+
+    def _check_unit(self, name: str, unit: str) -> None:
+        before = self.written.units.get(name, unit)
+        if unit != before:
+            units = [repr(one) if one else "no unit" for one in (unit, before)]
+            raise TableError(f"{self.file}: column {name!r} has {units[0]}, and had {units[1]} in the file learnt from")
+        if unit:
+            self.form.units[name] = unit
 
 
 def _text_column(raw: pd.Series, column: pd.Series, labelled: bool) -> tuple[pd.Series, list[str]]:
@@ -121,7 +183,7 @@ def _text_column(raw: pd.Series, column: pd.Series, labelled: bool) -> tuple[pd.
     words = raw[column.isna() & raw.notna()]
     if words.empty:
         return column.astype("str"), []
-    told = f"{column.name}: {words.iloc[0]!r} in {counted(len(words), 'cell')}"
+    told = f"{words.iloc[0]!r} in {counted(len(words), 'cell')}"
     if labelled or (raw.notna().all() and column.notna().any()):
         return raw.astype("str"), [f"{told} is a label; --na-values={words.iloc[0]} if it means missing"]
     return column.astype("str"), [f"{told} is taken as missing"]
@@ -138,12 +200,14 @@ def _read_parquet(file: Path) -> tuple[pd.DataFrame, list[str]]:
             frame[name] = pd.to_datetime(column, utc=True).dt.tz_localize(None)
         else:
             frame[name] = pd.Series(as_column(column, name)).replace("", None)
-    frame.attrs["day_first"], frame.attrs["labels"] = [], []
+    frame.attrs["format"] = asdict(ReadFormat())
     return frame, [f"{file}: {counted(len(frame), 'row')}, {counted(frame.shape[1], 'column')}"]
 
 
 def _lines(text: str, above: int, separator: str, n: int) -> IntArray:
     """The line (n,) of each row in the file, from 1: values may hold line breaks, and empty lines are no rows."""
+    if text.count("\n") + (not text.endswith("\n")) == above + n:
+        return above + 1 + np.arange(n)
     starts, at = [], 0
     with suppress(csv.Error):
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=True)
@@ -166,12 +230,15 @@ def _rows(text: str, file: Path, shape: dict[str, Any], na_values: Sequence[str]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # of rows longer than those looked at
-            raw = pd.read_csv(io.StringIO(text), dtype=object, **shape)
+            raw = pd.read_csv(io.BytesIO(text.encode()), dtype="str", **shape)
     except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning) as exc:
         raise TableError(f"{file}: cannot be read as CSV: {' '.join(str(exc).split())}") from None
     if raw.empty:
         raise TableError(f"{file}: cannot be read as CSV: holds no values")
-    return pd.DataFrame(_each(raw, lambda cell: cell.str.strip().replace("", None)), columns=raw.columns, dtype=object)
+    for j, column in raw.items():
+        trimmed = pc.utf8_trim_whitespace(pa.array(column, from_pandas=True, type=pa.large_string()))
+        raw[j] = pd.Series(pc.if_else(pc.equal(trimmed, ""), None, trimmed).to_pandas(), dtype="str")
+    return raw
 
 
 def _each(cells: pd.DataFrame, change: Callable[[pd.Series], pd.Series]) -> AnyArray:
@@ -247,78 +314,167 @@ def _arrangement(text: str, file: Path, separators: str) -> tuple[int, str, int]
     return above, separator, width
 
 
-def _decimal_mark(cells: pd.DataFrame, separator: str) -> str:
+def _decimal_mark(cells: pd.DataFrame, others: pd.DataFrame, separator: str) -> str:
+    """The mark before decimals in most cells; only `others` than plain numbers, of a point, may hold commas."""
     marks = Counter[str]()
-    for mark, other in (".,", ",."):  # three digits may follow a mark between thousands, but not after 0 or 1234
+    for mark, other in (",.", ".,"):  # three digits may follow a mark between thousands, but not after 0 or 1234
         pattern = rf"[-+]?([\d' {other}]*\{mark}(\d{{1,2}}|\d{{4,}})|(0|\d{{4,}})?\{mark}\d{{3}})"
-        marks[mark] = int(_each(cells, lambda cell, pattern=pattern: cell.str.fullmatch(pattern, na=False)).sum())  # type: ignore[misc]
+        given = others if mark == "," else cells
+        marks[mark] = int(_each(given, lambda cell, pattern=pattern: cell.str.fullmatch(pattern, na=False)).sum())  # type: ignore[misc]
+        if not marks[","] and separator != ";":
+            return "."
     if marks["."] == marks[","]:
         return "," if separator == ";" else "."
     return max(marks, key=lambda mark: marks[mark])
 
 
 def _plain_numbers(cells: pd.DataFrame) -> dict[Any, FloatArray]:
-    """The columns that hold finite numbers and gaps alone, read in one go: there may be thousands."""
-    numbers = pd.to_numeric(cells.to_numpy(dtype=object).ravel(), errors="coerce").reshape(cells.shape)
-    gaps = cells.isna().to_numpy()
-    plain = (np.isfinite(numbers) | gaps).all(axis=0) & ~gaps.all(axis=0)
-    return {name: numbers[:, j].astype(float) for j, name in enumerate(cells.columns) if plain[j]}
+    """The columns that hold finite numbers, with a point if any, and gaps alone."""
+    plain = {}
+    for name, column in cells.items():
+        text = pa.array(column, from_pandas=True, type=pa.large_string())
+        with suppress(pa.ArrowInvalid):
+            numbers = pc.cast(text, pa.float64()).to_numpy(zero_copy_only=False)
+            if np.isfinite(numbers).sum() == len(text) - text.null_count > 0:
+                plain[name] = numbers
+    return plain
 
 
-def _numbers(file: Path, column: pd.Series, decimal: str, thousands: str | None) -> pd.Series | None:
-    """The numbers of a column of text; None if it holds none."""
-    given = column.dropna()
-    given = given.str.replace(rf"(?<=\d)[{_SPACES}](?=\d{{3}}(?!\d))", "", regex=True).str.replace(_MINUS, "-")
-    grouped = given.str.fullmatch(_GROUPED)
-    digits = given
+@dataclass
+class _Reading:
+    """The numbers (n,) of a column, if it holds some, their unit, what is to be told, and why it can be no target."""
+
+    values: pd.Series | None = None
+    unit: str = ""
+    notes: list[str] = field(default_factory=list)
+    unfit: str = ""
+
+
+def _numbers(file: Path, column: pd.Series, decimal: str, written: CsvFormat) -> _Reading:
+    """The numbers of a column of text."""
+    given = column.dropna().drop_duplicates()  # at the line where each occurs first
+    codes = column.factorize()[0]
+    times = np.bincount(codes[codes >= 0], minlength=len(given))
+    if given.empty:
+        return _Reading()
+    text = given.str.replace(rf"(?<=\d)[{_SPACES}](?=\d{{3}}(?!\d))", "", regex=True).str.replace(_MINUS, "-")
+    numbers, grouped = _parsed(text, decimal, written.thousands)
+    parts = text.where(numbers.isna() & ~grouped).str.extract(_WITH_UNIT)
+    inner, inner_grouped = _parsed(parts["number"], decimal, written.thousands)
+    other = "," if decimal == "." else "."
+    mixed = parts["number"].str.fullmatch(_ONE_DECIMAL.format(mark=other), na=False) & inner.isna()
+    if written.decimal or written.thousands:
+        mixed &= False
+    inner = inner.fillna(pd.to_numeric(parts["number"].where(mixed).str.replace(",", "."), errors="coerce"))
+    grouped |= inner_grouped & inner.isna()
+    if times @ (numbers.notna() | inner.notna() | grouped) < _MIN_SHARE * times.sum():
+        return _Reading()
+    at = grouped | (numbers.notna() & text.str.fullmatch(_GROUPED) & mixed.any())
+    if at.any():
+        beside = f", as {_place(given[mixed])} has another mark before decimals" if mixed.any() else ""
+        doubt = f"{_place(given[at])} may have marks between thousands{beside}"
+        raise TableError(f"{file}: column {column.name!r}: {doubt}; give --thousands or --decimal")
+    reading = _Reading()
+    limits, marks = (
+        inner.notna() & parts["limit"].notna(),
+        parts["before"].fillna("") + parts["after"].fillna("").str.strip(),
+    )
+    units = marks.where(inner.notna(), "").where(numbers.notna() | inner.notna())
+    names = list(dict.fromkeys(units.dropna()))
+    if limits.any() and times @ limits > times.sum() / 2:
+        return _Reading()
+    if len(names) == 1:
+        reading.unit = names[0]
+        if reading.unit:
+            reading.notes.append(f"numbers in {reading.unit!r}, of which {_place(given[units.notna()])}")
+    else:
+        first = [_place(given[units == name]) for name in names[:_SHOWN]]
+        reading.unfit = f"has numbers in several units, or in none: {listed(first)}"
+        inner = inner.where(marks == "")
+        if times @ (numbers.notna() | inner.notna()) < _MIN_SHARE * times.sum():
+            return _Reading(notes=[f"{reading.unfit}; read as text. Write all in one unit"], unfit=reading.unfit)
+    limits &= inner.notna()
+    if limits.any():
+        reading.notes.append(
+            f"{counted(int(times @ limits), 'value')}, such as {_place(given[limits])}, read as the limit"
+        )
+        reading.unfit = f"has values of which only a limit is known: {_place(given[limits])}"
+    if mixed.any():
+        name = "comma" if other == "," else "point"
+        reading.notes.append(
+            f"{counted(int(times @ mixed), 'value')}, such as {_place(given[mixed])}, read with a decimal {name}"
+        )
+    found = numbers.fillna(inner).astype(float).replace([np.inf, -np.inf], np.nan).to_numpy()
+    reading.values = pd.Series(np.append(found, np.nan)[codes], column.index, name=column.name)
+    return reading
+
+
+def _place(cells: pd.Series) -> str:
+    """The first of some cells, and where it is."""
+    return f"{cells.iloc[0]!r} in line {cells.index[0]}"
+
+
+def _parsed(text: pd.Series, decimal: str, thousands: str | None) -> tuple[pd.Series, pd.Series]:
+    """The numbers of text, NaN where it holds none, and where marks may stand between thousands."""
+    grouped = text.str.fullmatch(_GROUPED, na=False)
+    digits = text
     if thousands:
-        marked = given.str.contains(thousands, regex=False)
-        digits = given.where(~marked | grouped).str.replace(thousands, "", regex=False)
+        marked = text.str.contains(thousands, regex=False, na=False)
+        digits = text.where(~marked | grouped).str.replace(thousands, "", regex=False)
     if decimal != ".":
         digits = digits.where(~digits.str.contains(".", regex=False, na=False)).str.replace(decimal, ".", regex=False)
     numbers = pd.to_numeric(digits, errors="coerce")
-    grouped &= numbers.isna()
-    if given.empty or (numbers.notna() | grouped).mean() < _MIN_SHARE:
-        return None
-    if grouped.any():
-        doubt = f"{given[grouped].iloc[0]!r} may have marks between thousands"
-        raise TableError(f"{file}: column {column.name!r}: {doubt}; give --thousands or --decimal")
-    return numbers.astype(float).replace([np.inf, -np.inf], np.nan).reindex(column.index)
+    return numbers, grouped & numbers.isna()
 
 
-def _dates(column: pd.Series, separator: str, prefers_day_first: bool) -> pd.Series | None:
+def _dates(column: pd.Series, separator: str, written: CsvFormat) -> pd.Series | None:
     """Dates, in UTC where they have a time zone; None where they are none, or the month is not known."""
-    given = column.dropna().str.replace(_COMPACT, r"\1-\2-\3 \4:\5:\6", regex=True)
-    parts = given.str.extract(_DATE)
-    if given.empty or parts[0].notna().mean() < _MIN_SHARE:
+    codes, distinct = column.factorize()
+    times = np.bincount(codes[codes >= 0], minlength=len(distinct))
+    texts = pd.Series(np.asarray(distinct, dtype=object), dtype="str")
+    dates, day_first = _recognised_dates(texts, times, separator, column.name in written.day_first)
+    if dates is None or times @ dates.notna() < _MIN_SHARE * times.sum():
         return None
+    known = dates.dt.tz_localize(None).to_numpy()
+    result = pd.Series(np.append(known, np.datetime64("NaT"))[codes], column.index)
+    result.attrs["day_first"] = day_first
+    return result
+
+
+def _recognised_dates(
+    texts: pd.Series, times: IntArray, separator: str, prefers_day_first: bool
+) -> tuple[pd.Series | None, bool]:
+    """Dates of distinct texts, of which each occurs some `times`, and whether days come first."""
+    given = texts.str.replace(_COMPACT, r"\1-\2-\3 \4:\5:\6", regex=True)
+    parts = given.str.extract(_DATE)
+    if given.empty or times @ parts[0].notna() < _MIN_SHARE * times.sum():
+        return None, False
     first, second = (pd.to_numeric(parts[k], errors="coerce") for k in (0, 2))
     year_first = first > 31
     day_first = bool((first[~year_first] > 12).any())
     month_first = bool((second[~year_first] > 12).any())
     if day_first and month_first:
-        return None
+        return None, False
     pointed = bool(given[~year_first].str.match(r"\d+\.").all())
     day_first |= not month_first and (prefers_day_first or separator == ";" or pointed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of days and months in another order
         how: dict[str, Any] = {"errors": "coerce", "format": "mixed", "utc": True}
         dates = pd.to_datetime(given.mask(year_first), dayfirst=day_first, **how)
-        dates = dates.fillna(pd.to_datetime(given.where(year_first), **how))
-    dates = dates.dt.tz_localize(None).reindex(column.index)
-    dates.attrs["day_first"] = day_first
-    return dates if dates.notna().sum() >= _MIN_SHARE * len(given) else None
+        return dates.fillna(pd.to_datetime(given.where(year_first), **how)), day_first
+
+
+def _all_grouped(marked: pd.Series) -> bool:
+    return bool(re.fullmatch(_GROUPED, marked.iloc[0])) and bool(marked.str.fullmatch(_GROUPED).all())
 
 
 def _doubts(column: pd.Series, numbers: FloatArray, written: CsvFormat) -> list[str]:
     """Notes on numbers that could mean another thing."""
     notes = []
     present = ~np.isnan(numbers)
-    pairs = zip(column.to_numpy()[present], numbers[present], strict=True)
-    marked = ((cell, number) for cell, number in pairs if "." in cell or "," in cell)
-    cell, number = next(marked, ("", 0.0))
-    doubtful = re.fullmatch(_GROUPED, cell) and not (written.decimal or written.thousands)
-    if doubtful and all(re.fullmatch(_GROUPED, other) for other, _ in marked):
+    marked = np.flatnonzero(present & column.str.contains("[.,]", na=False).to_numpy(dtype=np.bool_))
+    if marked.size and not (written.decimal or written.thousands) and _all_grouped(column.iloc[marked]):
+        cell, number = column.iloc[marked[0]], numbers[marked[0]]
         notes.append(f"{cell!r} is read as {number:.12g}; else name --thousands or --decimal")
     codes = numbers[np.isin(numbers, _CODES)]
     if len(codes) > 1 and codes[0] in (np.nanmin(numbers), np.nanmax(numbers)):

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
+from joblib import parallel_config
 
 from conformodal.conformal import ConformalRegressor
 from conformodal.conformal.tables import input_columns
@@ -20,11 +22,21 @@ from conformodal.core.files import replacing
 from conformodal.core.words import counted, finite_or_none, listed
 
 from .console import Quiet, progress_bars, report_line, warning_lines
-from .table_csv import CsvFormat, TableError, read_table
+from .table_csv import CsvFormat, TableError, date_formats, read_table
 
 _ROWS = 65_536  # at once, and of a row group that is written
 _PARQUET, _CSV = ".parquet", ".csv"
 _LONGEST = 200  # characters of a note
+_reading = partial(typer.Option, rich_help_panel="How a CSV file is written")
+Separator = Annotated[str | None, _reading("--sep", help="Separator; recognised by default.")]
+DecimalMark = Annotated[str | None, _reading("--decimal", help="Mark before decimals; recognised by default.")]
+ThousandsMark = Annotated[str | None, _reading("--thousands", help="Mark between thousands; none by default.")]
+NaValues = Annotated[
+    list[str] | None, _reading("--na-values", "--na", help="Text that means a missing value; repeatable.")
+]
+DateFormats = Annotated[
+    list[str] | None, _reading("--date", help="COLUMN=FORMAT of dates, such as 'sold=%d.%m.%y'; repeatable.")
+]
 
 
 def predict(
@@ -32,17 +44,28 @@ def predict(
     file: Annotated[Path, typer.Argument(help="CSV or Parquet file with the columns that were learnt from.")],
     out: Annotated[Path, typer.Option(help="File for the regions, .csv or .parquet.")],
     alpha: Annotated[str | None, typer.Option(help="Miscoverage rate; that of the fit by default.")] = None,
-    sep: Annotated[str | None, typer.Option(help="Separator of a CSV file; recognised by default.")] = None,
+    sep: Separator = None,
+    decimal: DecimalMark = None,
+    thousands: ThousandsMark = None,
+    na_values: NaValues = None,
+    date: DateFormats = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write the region of every row of a file: intervals with probabilities, their ends, and the mean."""
+    """Write the region of every row of a file: intervals with probabilities, their ends, and the mean.
+
+    A CSV file is read as the one learnt from, except for what is named here.
+    """
     if out.suffix not in (_PARQUET, _CSV):
         raise TableError(f"{out}: --out must end in {_CSV} or {_PARQUET}")
     with require_extra("table", "conformodal table predict"):
         import_module("pyarrow")
     reg = ConformalRegressor.load(model)
     how = getattr(reg, "file_format_", {})
-    written = {**how.get("csv", {}), "verbatim": how.get("identifiers", ())}
+    named = {"decimal": decimal, "thousands": thousands, "na_values": na_values, "dates": date_formats(date or [])}
+    written = how.get("csv", {}) | {name: value for name, value in named.items() if value}
+    written = {**written, "verbatim": how.get("identifiers", ())}
+    if "units" in how:
+        written["units"] = {name: how["units"].get(name, "") for name in reg.columns_}
     names, n_rows, chunks = _open(file, reg, CsvFormat("\t" if sep == r"\t" else sep, **written))
     if not n_rows:
         raise TableError(f"{file}: holds no rows")
@@ -55,7 +78,12 @@ def predict(
     if others:
         report_line(f"note: not read: {listed(others)}, which the model does not know"[:_LONGEST])
     told, done = list[str](), 0
-    with progress_bars() as progress, warning_lines(UserWarning, told.append), _writer(out) as write:
+    with (
+        progress_bars() as progress,
+        warning_lines(UserWarning, told.append),
+        _writer(out) as write,
+        parallel_config("threading", n_jobs=-1),
+    ):
         for table in chunks([*copied, *needed]):
             with _naming(file):
                 regions = reg.predict_table(table.select(needed), alpha)

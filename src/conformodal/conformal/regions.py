@@ -134,5 +134,5 @@ def _flat_runs(mask: BoolArray) -> tuple[IntArray, IntArray]:
     n, k = mask.shape
     padded = np.zeros((n, k + 2), dtype=bool)
     padded[:, 1:-1] = mask
-    rows, at = np.nonzero(padded[:, 1:] != padded[:, :-1])
+    rows, at = np.divmod(np.flatnonzero(padded[:, 1:] != padded[:, :-1]), k + 1)
     return np.bincount(rows, minlength=n) // 2, at.reshape(-1, 2)

@@ -43,7 +43,18 @@ from .checks import (
     not_calibrated,
 )
 from .choice import choose_score
-from .density.encoder import is_frame, named_targets, numpy_columns, rows_of
+from .density.encoder import (
+    column_of,
+    columns_where,
+    dates_of_text,
+    is_empty,
+    is_frame,
+    is_text,
+    named_targets,
+    numpy_columns,
+    rows_of,
+    with_columns,
+)
 from .density.learners import FittedTarget, as_learner, fit_target, predict_proba, split_off, split_units
 from .density.mixture import as_sample_weight
 from .diagnosis import Diagnosis, diagnose
@@ -177,7 +188,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         ----------
         X
             (n, p) features: an array, or a frame of pandas, polars or Arrow, of which a classifier gets the rows as
-            they are. Numbers may be missing (NaN) if the estimator can work with that, as the named ones do.
+            they are. Numbers may be missing (NaN) if the estimator can work with that, as the named ones do. These read
+            text of ISO 8601 dates as dates, and a :class:`DataWarning` says so.
         y
             (n,) or (n, d) values; the names of a frame's or series' columns are kept.
         sample_weight
@@ -209,7 +221,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if members is not None and (labels is not None or self.calibration == "last"):
             raise ConformodalError("units must be None with groups or calibration='last'")
         doubts = doubt_rows(features, values, members is not None, self.calibration == "last")
-        if doubts := [*filter(None, [doubt_alpha(self.alpha)]), *doubts]:
+        dated = [f"{name} is read as dates, from text such as {text!r}" for name, text in self.text_dates_.items()]
+        if doubts := [*filter(None, [doubt_alpha(self.alpha)]), *dated, *doubts]:
             warnings.warn("; and ".join(doubts), DataWarning, stacklevel=2)
         size = check_number(self.calibration_size, "calibration_size", _CALIBRATION_SIZE)
         random = check_random_state(self.random_state)
@@ -375,7 +388,7 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """Features, checked by scikit-learn; a frame stays as it is."""
         if np.ma.is_masked(X):
             raise ConformodalError("X must not hold masked entries; NaN stands for a missing number")
-        X = numpy_columns(X)
+        X = self._with_dates(numpy_columns(X), reset)
         options: Any = {"accept_sparse": "csr", "ensure_all_finite": "allow-nan", "dtype": "numeric"}
         try:
             features = validate_data(self, X, reset=reset, **({"skip_check_array": True} if is_frame(X) else options))
@@ -386,6 +399,22 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         columns = column_names(X, "X", None if reset else self.columns_)
         self.columns_: list[str] = columns if reset else self.columns_
         return features if is_frame(X) or issparse(features) else as_reals(features, "X")
+
+    def _with_dates(self, X: Any, reset: bool) -> Any:
+        """A frame with its text of ISO dates as dates, as the named learners take them; others get columns as given."""
+        if reset:
+            self.text_dates_: dict[str, str] = {}  # columns, and the first text of each
+        if not is_frame(X) or not (self.estimator is None or isinstance(self.estimator, str)):
+            return X
+        asked = columns_where(X, is_text)
+        asked = asked if reset else [j for j in asked if str(X.columns[j]) in getattr(self, "text_dates_", {})]
+        found = {j: dates for j in asked if (dates := dates_of_text(column_of(X, j))) is not None}
+        if reset:
+            firsts = {j: next(text for text in column_of(X, j) if isinstance(text, str)) for j in found}
+            self.text_dates_ = {str(X.columns[j]): text for j, text in firsts.items()}
+        elif missed := [X.columns[j] for j in asked if j not in found and not is_empty(column_of(X, j))]:
+            raise ConformodalError(f"column {missed[0]} held dates in training, and holds other text now")
+        return with_columns(X, found) if found else X
 
     def _table(self, X: Any, y: Any, reset: bool = False) -> tuple[Any, FloatArray, list[str] | None]:
         """Features, values and the targets' names."""

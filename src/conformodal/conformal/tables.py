@@ -5,17 +5,21 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from joblib import Parallel, delayed
+from sklearn.utils import gen_batches
+from threadpoolctl import ThreadpoolController
 
 from conformodal.core.arrays import BoolArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
 
-from .checks import Alpha, BinProbabilities, blocks, brief
+from .checks import Alpha, BinProbabilities, brief
 from .density.encoder import is_time, numpy_columns
 from .doubts import TableMemory
 from .predictive import PredictiveDensity
 from .regions import Regions
+
+_ROWS = 8192  # of a block
 
 
 class TableRegressor(Protocol):
@@ -79,21 +83,29 @@ def as_inputs(reg: TableRegressor, table: Any) -> Any:
 
 
 def region_table(reg: TableRegressor, table: Any, alpha: Alpha | None) -> Any:
-    """See :meth:`ConformalRegressor.predict_table`; rows are answered in blocks, so that memory stays bounded."""
+    """See :meth:`ConformalRegressor.predict_table`; rows are answered in blocks, so that memory stays bounded.
+
+    Blocks are answered by as many threads as :func:`joblib.parallel_config` allows, by default one.
+    """
     with require_extra("table", "predict_table"):
         import pyarrow as pa  # noqa: PLC0415 - an extra
 
         frame = as_inputs(reg, table)
-    inputs, parts = frame[reg.columns_], []
+    inputs = frame[reg.columns_]
     unlike = reg.compare_rows(inputs)
     if reg.group_column_ is not None and reg.group_column_ not in reg.columns_:  # else compare_rows tells of gaps
         reg.warn_without_group(frame[reg.group_column_])
-    with threadpool_limits(1):  # on blocks of this size, threads wait more than they work
-        for rows in [*blocks(len(frame))] or [slice(0, 0)]:
+    threads = ThreadpoolController()
+
+    def answer(rows: slice) -> Any:
+        with threads.limit(limits=1, user_api="openmp"):  # which each thread has a limit of its own for
             proba = reg.proba_of(inputs.iloc[rows])
-            labels = None if reg.group_column_ is None else frame[reg.group_column_].iloc[rows]
-            parts.append(_arrow_table(reg, proba, reg.regions_of(proba, unlike[rows], alpha, labels)))
-    result = pa.concat_tables(parts)
+        labels = None if reg.group_column_ is None else frame[reg.group_column_].iloc[rows]
+        return _arrow_table(reg, proba, reg.regions_of(proba, unlike[rows], alpha, labels))
+
+    parts = [*gen_batches(len(frame), _ROWS)] or [slice(0, 0)]
+    with threads.limit(limits=1):  # threads within a block would wait more than they work
+        result = pa.concat_tables(Parallel(require="sharedmem")(delayed(answer)(rows) for rows in parts))
     if hasattr(table, "iloc"):
         return result.to_pandas().set_index(table.index)
     return result if hasattr(table, "column_names") else type(table)(result)  # of Arrow, of polars

@@ -8,6 +8,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 from conformodal.conformal import ConformalRegressor, QuickDensity
 from conformodal.conformal.density import named
 from conformodal.conformal.density.forest import LeafForest, group_values, rank_cosines
+from conformodal.conformal.density.mixture import cells_of
 from conformodal.conformal.density.named import SubsetProcess, boosting, fit_out_of_fold, folds_of, smooth_member
 
 EDGES = np.linspace(-3, 3, 61)
@@ -116,7 +117,40 @@ def test_weights_are_those_of_the_leaves_one_by_one():
         for i, leaf in enumerate(to):
             share = np.bincount(groups, count * (of == leaf), minlength=expected.shape[1])
             expected[i] += share / share.sum() / len(known)
-    np.testing.assert_allclose(forest.weights(forest.apply(asked))[0], expected, atol=1e-12)
+    weights = forest.projection([np.eye(expected.shape[1])])(forest.apply(asked))
+    np.testing.assert_allclose(weights, expected, atol=1e-7)
+
+
+def test_rows_are_told_apart_whatever_stands_beside_them(fitted):
+    X = np.random.default_rng(5).uniform(-1, 1, (9000, 2))  # more than a block
+    whole = fitted.predict_proba(X)
+    np.testing.assert_allclose(whole[::-1], fitted.predict_proba(X[::-1]), rtol=1e-12)
+    np.testing.assert_allclose(whole[7:8], fitted.predict_proba(X[7:8]), rtol=1e-12)
+
+
+def test_masses_are_those_of_the_kernels_at_the_weights_of_leaves(fitted):
+    mixed = fitted._mixed_masses()
+    guided, direct = fitted.forests_
+    X = np.random.default_rng(6).uniform(-1, 1, (50, 2))
+    leaves = direct.apply(X)
+    share, kernel = fitted.weights_[4], fitted._kernels[4]
+    whole = direct.projection([np.eye(len(kernel))])(leaves) @ kernel
+    factored = mixed.projections[-1](leaves)
+    np.testing.assert_allclose(factored @ mixed.values[-factored.shape[1] :], share * whole, atol=1e-6 * share)
+    assert guided.n_groupings == 2
+    assert factored.shape[1] < len(kernel)
+
+
+@pytest.mark.parametrize("clumped", [False, True])
+def test_cells_are_those_of_a_search(clumped):
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        size = 10.0 ** rng.integers(-6, 7)
+        grid = np.unique(rng.standard_cauchy(rng.integers(2, 400)) * size + 1e4 * clumped)
+        near = rng.choice(grid, 300) + rng.standard_cauchy(300) * size
+        at = np.concatenate((grid, np.nextafter(grid, np.inf), near, [0.0, -1e200, 1e200]))[None]
+        expected = np.clip(np.searchsorted(grid, at) - 1, 0, grid.size - 2)
+        np.testing.assert_array_equal(cells_of(at, grid), expected)
 
 
 def test_out_of_bag_rows_sum_to_one_and_follow_the_values():

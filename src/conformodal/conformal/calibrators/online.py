@@ -16,6 +16,7 @@ from conformodal.conformal.bins import QuantileBins
 from conformodal.conformal.checks import Alpha, Probabilities, as_alpha, brief, check_number
 from conformodal.conformal.regions import Regions
 from conformodal.conformal.scores import Score
+from conformodal.conformal.streams import ScoreSource, ScoreStream
 from conformodal.core.arrays import FloatArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.ranges import Range
@@ -32,9 +33,24 @@ class PastScores:
         self.window = None if window is None else check_number(window, "window", Range(1, whole=True))
         self._order: deque[float] = deque()
         self._sorted: list[float] = []
+        self._stream: ScoreStream | None = None
+        self._column = 0
+
+    def begin(self, stream: ScoreStream, column: int) -> None:
+        """Put the scores of a stream before those seen: the last ones of a window, or all, which are not copied."""
+        if self.window is None:
+            self._stream, self._column = stream, column
+            return
+        past: deque[float] = deque(maxlen=self.window)
+        for chunk in stream.chunks():
+            past.extend(chunk[:, column].tolist())
+        seen = [*self._order]
+        self._order, self._sorted = deque(), []
+        for score in [*past, *seen][-self.window :]:
+            self.add(score)
 
     def __len__(self) -> int:
-        return len(self._sorted)
+        return len(self._sorted) + (0 if self._stream is None else len(self._stream))
 
     def add(self, score: float) -> None:
         """Add a score; the oldest one beyond the window is dropped."""
@@ -48,6 +64,8 @@ class PastScores:
         k = ceil((len(self) + 1) * (1 - Fraction(alpha)))
         if k > len(self):
             return inf
+        if k >= 1 and self._stream is not None:
+            return self._stream.smallest(k, self._column, self._sorted)
         return self._sorted[k - 1] if k >= 1 else -inf
 
 
@@ -137,6 +155,20 @@ class OnlineConformal:
     def update(self, proba: Probabilities, y: npt.ArrayLike) -> Self:
         """Learn the truth of samples, in the order of their rows."""
         self._limits(proba, y)
+        return self
+
+    def begin(self, scores: ScoreSource) -> Self:
+        """Rank new samples among earlier scores too, (n, d), of which more may be than memory holds; before any update.
+
+        They come from a source, see :class:`~conformodal.conformal.streams.ScoreStream`. With a `window`, its last
+        scores are kept. Without one all count, exactly: for a new rate the source is read up to three times,
+        which takes seconds for a hundred million scores.
+        """
+        stream = ScoreStream(scores)
+        if stream.shape[1] != len(self.trackers):
+            raise ConformodalError(f"scores must have shape (n, {len(self.trackers)}), got {stream.shape}")
+        for j, tracker in enumerate(self.trackers):
+            tracker.past.begin(stream, j)
         return self
 
     def run(self, proba: Probabilities, y: npt.ArrayLike) -> Regions:

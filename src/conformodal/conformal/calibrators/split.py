@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from conformodal.conformal.checks import Probabilities, as_labels, as_scores, factorise
 from conformodal.conformal.rank import conformal_quantile, conformal_rank, hierarchical_quantile
 from conformodal.conformal.regions import Regions
+from conformodal.conformal.streams import ScoreSource, ScoreStream, is_source, stream_quantiles
 from conformodal.core.arrays import IntArray, RealArray, rows_by_label
 from conformodal.core.errors import ConformodalError
 
@@ -82,25 +83,47 @@ class SplitConformal(Calibrator):
         return self.calibrate_scores(scores, units)
 
     def calibrate_scores(
-        self, scores: RealArray, units: npt.ArrayLike | None = None, unit_sizes: IntArray | None = None
+        self, scores: RealArray | ScoreSource, units: npt.ArrayLike | None = None, unit_sizes: IntArray | None = None
     ) -> Self:
         """Set the thresholds from calibration scores (n, d) of :meth:`score_samples`.
+
+        More scores than memory holds come from a source: a :class:`numpy.memmap`, or a function that returns their
+        chunks, from the first on, each time it is called (without `units`). Thresholds are exactly those of the array;
+        see :class:`~conformodal.conformal.streams.ScoreStream`.
 
         `unit_sizes` (n,) are the sizes of the whole units if only members of one category are given, see
         :func:`~conformodal.conformal.hierarchical_quantile`.
         """
         self.check_parameters()
+        if is_source(scores):
+            if units is not None:
+                raise ConformodalError("units must be None for scores of a source")
+            self.scores_: Any = ScoreStream(scores, self._columns_of_chunk)
+            self.units_, self.unit_sizes_ = None, None
+            self._set_thresholds()
+            return self
         scores = as_scores(scores)
-        if scores.ndim != 2 or scores.shape[1] != self.bins.n_targets:
-            raise ConformodalError(f"scores must have shape (n, {self.bins.n_targets}), got {scores.shape}")
+        self._check_shape(scores)
         if units is not None:
             units = as_labels(units, len(scores), "units")
         self.scores_, self.units_, self.unit_sizes_ = scores, units, unit_sizes
         self._set_thresholds()
         return self
 
+    def _check_shape(self, scores: RealArray) -> None:
+        if scores.ndim != 2 or scores.shape[1] != self.bins.n_targets:
+            raise ConformodalError(f"scores must have shape (n, {self.bins.n_targets}), got {scores.shape}")
+
+    def _columns_of_chunk(self, scores: RealArray) -> RealArray:
+        self._check_shape(scores)
+        return self.calibration_columns(scores)
+
     def _set_thresholds(self) -> None:
-        columns, rate = self.calibration_columns(self.scores_), self.alpha_per_target
+        rate = self.alpha_per_target
+        if isinstance(self.scores_, ScoreStream):
+            self.thresholds_ = self.per_target(stream_quantiles(self.scores_, self.rank))
+            return
+        columns = self.calibration_columns(self.scores_)
         if self.units_ is None:
             self.thresholds_ = self.per_target(conformal_quantile(columns, rate))
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection
 from datetime import UTC, date, datetime
 from decimal import Decimal
@@ -18,6 +19,7 @@ from conformodal.core.errors import ConformodalError
 # labels of a column of text that get a column each, the most frequent ones, each in at least two rows
 _MAX_LABELS, _MIN_ROWS = 20, 2
 _DAY = np.timedelta64(1, "D")
+_ISO_DATE = re.compile(r"\d{4}-\d{2}-\d{2}(?:$|[T ]\d{2})|\d{8}T\d{4}")  # 20141013 alone may be a number
 _HOURS, _MONDAY = 24.0, 3  # of a day; 1970-01-01 was a Thursday
 
 
@@ -80,11 +82,49 @@ def _without_zone(value: date) -> date:
     return value.astimezone(UTC).replace(tzinfo=None) if aware else value  # type: ignore[attr-defined]
 
 
+def dates_of_text(column: Any) -> AnyArray | None:
+    """Times (n,) in UTC of a column of ISO 8601 text with year, month and day; None if it holds anything else."""
+    values = np.asarray(column, dtype=object)
+    known: dict[Any, Any] = {}
+    for value in values:
+        if isinstance(value, str):
+            if value not in known:
+                if not _ISO_DATE.match(value):
+                    return None
+                try:
+                    known[value] = _without_zone(datetime.fromisoformat(value))
+                except ValueError:
+                    return None
+        elif not is_missing(value):
+            return None
+    return np.array([known.get(value) for value in values], dtype="M8[us]") if known else None
+
+
+def with_columns(X: Any, changed: dict[int, AnyArray]) -> Any:
+    """A frame of pandas or polars with other values in some columns, by position; the given one stays as it is."""
+    if not hasattr(X, "isetitem"):
+        return X.with_columns([type(X[:, j])(X.columns[j], values) for j, values in changed.items()])
+    X = X.copy(deep=False)
+    for j, values in changed.items():
+        X.isetitem(j, values)
+    return X
+
+
 def has_zone(column: Any) -> bool:
     """Whether a column holds times with a time zone."""
     dtype = getattr(column, "dtype", None)
     first = next((value for value in column if not is_missing(value)), None) if str(dtype) == "object" else dtype
     return any(getattr(first, name, None) is not None for name in ("tz", "time_zone", "tzinfo"))
+
+
+def is_text(column: Any) -> bool:
+    """Whether the first value of a column is text."""
+    return isinstance(next((value for value in column if not is_missing(value)), None), str)
+
+
+def is_empty(column: Any) -> bool:
+    """Whether a column holds no value."""
+    return all(is_missing(value) for value in column)
 
 
 def is_time(column: Any) -> bool:

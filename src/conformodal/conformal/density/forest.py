@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, Self, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 from scipy import sparse
 from scipy.stats import rankdata
 
@@ -70,23 +71,63 @@ class LeafForest:
 
     def apply(self, X: FloatArray) -> IntArray:
         """Leaves (n, t) of samples, numbered over all trees."""
-        return np.asarray(self.forest.apply(X) + self._first[:-1], dtype=np.int64)
+        inputs = _as_tree_inputs(X)
+        leaves = np.empty((len(inputs), len(self.forest.estimators_)), dtype=np.int64)
+        for tree, first, column in zip(self.forest.estimators_, self._first, leaves.T, strict=False):
+            np.add(tree.tree_.apply(inputs), first, out=column)
+        return leaves
+
+    def alike(self, X: FloatArray) -> IntArray:
+        """An order (n,) of samples in which neighbours are alike: by their leaves in the first tree."""
+        return np.argsort(self.forest.estimators_[0].tree_.apply(_as_tree_inputs(X)), kind="stable")
 
     def means(self, leaves: IntArray) -> FloatArray:
         """Means (n,) of the training values in `leaves`."""
         return np.asarray(self._means[leaves].mean(axis=1))
 
-    def weights(self, leaves: IntArray) -> list[FloatArray]:
-        """Weights (n, G) of the groups in `leaves`, one array per grouping; rows sum to one."""
-        n, n_trees = leaves.shape
-        share, ends = np.full(leaves.size, 1 / n_trees), np.arange(0, leaves.size + 1, n_trees)
-        query = sparse.csr_array((share, leaves.ravel(), ends), (n, int(self._first[-1])))
-        return [np.asarray((query @ table).toarray()) for table in self._tables]
+    @property
+    def n_groupings(self) -> int:
+        """Groupings of training values that the trees share."""
+        return len(self._tables)
+
+    def projection(self, bases: list[FloatArray]) -> LeafProjection:
+        """Weights of the groups of every grouping times its basis (G, r), side by side."""
+        return LeafProjection(self._tables, bases)
 
     def _query(self, leaves: IntArray, counted: BoolArray) -> Any:
         row, tree = np.nonzero(counted)
         share = 1 / np.maximum(counted.sum(axis=1), 1)
         return sparse.csr_array((share[row], (row, leaves[row, tree])), (len(leaves), int(self._first[-1])))
+
+
+class LeafProjection:
+    """Weights over groups of training values, in a basis per grouping: a mean of one vector per leaf.
+
+    Weights of 256 groups that are smoothed by a wide kernel are known from a tenth as many numbers. These are kept in
+    float32, for leaves only: `tables` hold no values for the inner nodes of trees.
+    """
+
+    def __init__(self, tables: list[Any], bases: list[FloatArray]) -> None:
+        inhabited = np.flatnonzero(np.diff(tables[0].indptr))
+        self._place = np.zeros(tables[0].shape[0], dtype=np.int32)
+        self._place[inhabited] = np.arange(inhabited.size)
+        parts = [table[inhabited] @ basis for table, basis in zip(tables, bases, strict=True)]
+        self._vectors = np.hstack(parts).astype(np.float32)
+
+    def __call__(self, leaves: IntArray) -> FloatArray:
+        """Projected weights (n, r) of samples in `leaves` (n, t), of which each tree has one."""
+        n, n_trees = leaves.shape
+        share, ends = np.full(leaves.size, 1 / n_trees, np.float32), np.arange(0, leaves.size + 1, n_trees)
+        query = sparse.csr_array((share, self._place[leaves].ravel(), ends.astype(np.int32)), (n, len(self._vectors)))
+        return np.asarray(query @ self._vectors, dtype=np.float64)
+
+
+def _as_tree_inputs(X: FloatArray) -> npt.NDArray[np.float32]:
+    with np.errstate(over="ignore"):  # refused below
+        inputs = np.ascontiguousarray(X, dtype=np.float32)
+    if not np.isfinite(inputs).all():
+        raise ValueError("inputs must be numbers that float32 can hold")
+    return inputs
 
 
 def group_values(values: FloatArray) -> Groups:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import svd
 from scipy.special import ndtr
 from sklearn.base import BaseEstimator
+from sklearn.utils import gen_batches
 from sklearn.utils.validation import _check_sample_weight
 
 from conformodal.conformal.bins import QuantileBins, nearest_bins
@@ -16,7 +19,7 @@ from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
 
 from .encoder import TableEncoder
-from .forest import Groups, LeafForest
+from .forest import Groups, LeafForest, LeafProjection
 
 # for each of the five components, in order: whether it is a distribution of scaled residuals
 _RESIDUAL = (False, True, True, False, False)
@@ -24,7 +27,11 @@ _FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 _GRID_CELLS = 300
 # least weight of a component, so that no density is exactly zero and far values differ
 _MIN_WEIGHT = 1e-3
-_ROWS_AT_ONCE = 2048
+# rows at once of trees, and of arrays (rows, bins), which then stay in the processor's cache
+_ROWS_AT_ONCE, _ROWS_IN_CACHE = 8192, 512
+# of a kernel, relative to the largest: what is left out changes masses by less
+_LEAST_SINGULAR = 1e-8
+_STEPS, _CELLS_PER_STEP = 4096, 8  # of a table of cells
 # least density, relative to 1 / range, for logarithms
 _FLOOR = 1e-6
 _ITERATIONS = 200
@@ -67,19 +74,34 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
 
     def _proba(self, features: FloatArray) -> FloatArray:
         *guided, direct = self.forests_
+        order = direct.alike(features)
+        features = features[order]  # neighbours then share leaves, which the processor's cache holds
         leaves = direct.apply(features)
         summary = self.location_.predict(features, direct.means(leaves))
         extended = np.column_stack((features, summary))
-        by_forest = [weights for forest in guided for weights in forest.weights(forest.apply(extended))]
-        weights = [*self._pooled, *by_forest, *direct.weights(leaves)]
-        masses = [share * (w @ k) for share, w, k in zip(self.weights_, weights, self._kernels, strict=True)]
-        residual = np.sum(self.weights_[[*_RESIDUAL]])
-        # one shift of the residuals' mixture, whose rows then sum to one, is all residuals need
-        shifted = self._shifted(
-            (masses[1] + masses[2]) / residual, summary[:, 0], np.exp(self.spread_.predict(extended))
-        )
-        total = masses[0] + masses[3] + masses[4] + residual * shifted
-        return np.asarray(total / total.sum(axis=1, keepdims=True))
+        spread = np.exp(self.spread_.predict(extended))
+        leaves_of = [*(forest.apply(extended) for forest in guided), leaves]
+        mixed = self._mixed_masses()
+        total = np.empty((len(features), self.edges_.size - 1))
+        for r in gen_batches(len(features), _ROWS_IN_CACHE):
+            weights = np.hstack([of(those[r]) for of, those in zip(mixed.projections, leaves_of, strict=True)])
+            of_residuals, of_values = np.split(weights, [len(mixed.residuals)], axis=1)
+            # one shift of the residuals' mixture, whose rows then sum to one, is all residuals need
+            masses = of_residuals @ mixed.residuals + mixed.residuals_of_all
+            shifted = shifted_masses(masses, self._grid, summary[r, 0], spread[r], self._z_edges)
+            proba = of_values @ mixed.values + mixed.values_of_all + mixed.residual_share * shifted
+            np.maximum(proba, 0, out=proba)  # the factors may be a little below
+            total[order[r]] = proba / proba.sum(axis=1, keepdims=True)
+        return total
+
+    def _mixed_masses(self) -> _MixedMasses:
+        """What forests' leaves say about masses; computed once, and not part of a file."""
+        if "_mixed" not in vars(self):
+            self._mixed = _MixedMasses.of(self.forests_, self.weights_, self._pooled, self._kernels)
+        return self._mixed
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in super().__getstate__().items() if name != "_mixed"}
 
     def _standardise(
         self, X: npt.ArrayLike, y: npt.ArrayLike, edges: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None
@@ -148,8 +170,53 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
 
     def _shifted(self, masses: FloatArray, loc: FloatArray, spread: FloatArray) -> FloatArray:
         """Bin probabilities of values, from masses (n, M) of their scaled residuals."""
-        rows = [slice(start, start + _ROWS_AT_ONCE) for start in range(0, loc.size, _ROWS_AT_ONCE)]
+        rows = [slice(start, start + _ROWS_IN_CACHE) for start in range(0, loc.size, _ROWS_IN_CACHE)]
         return np.concatenate([shifted_masses(masses[r], self._grid, loc[r], spread[r], self._z_edges) for r in rows])
+
+
+@dataclass(frozen=True)
+class _MixedMasses:
+    """The mixture's masses as linear functions of what is kept for each leaf, with the weights of the mixture.
+
+    A kernel over G groups and M cells is smooth, so that a product of (G, r) and (r, M) with a small r equals it.
+    """
+
+    projections: list[LeafProjection]  # of each forest
+    residuals: FloatArray  # (r, M) masses of scaled residuals over the grid, relative to all of residuals
+    residuals_of_all: FloatArray  # (M,) of the component that is the same for all samples
+    values: FloatArray  # (r', K) masses of values over the bins
+    values_of_all: FloatArray  # (K,)
+    residual_share: float  # weight of the components of residuals
+
+    @classmethod
+    def of(
+        cls, forests: tuple[LeafForest, ...], weights: FloatArray, pooled: list[FloatArray], kernels: list[FloatArray]
+    ) -> Self:
+        """Of kernels of which the first two are no forest's, and the third, a forest's first, is of residuals."""
+        residual_share = float(np.sum(weights[[*_RESIDUAL]]))
+        values_of_all, residuals_of_all = (
+            share * (w @ k)[0] for share, w, k in zip(weights, pooled, kernels[:2], strict=False)
+        )
+        bases, cells = zip(*map(_factors, kernels[2:]), strict=True)
+        rest, projections = [*bases], []
+        for forest in forests:
+            projections.append(forest.projection([rest.pop(0) for _ in range(forest.n_groupings)]))
+        residuals, *values = (share * part for share, part in zip(weights[2:], cells, strict=True))
+        return cls(
+            projections,
+            residuals / residual_share,
+            residuals_of_all / residual_share,
+            np.vstack(values),
+            values_of_all,
+            residual_share,
+        )
+
+
+def _factors(kernel: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Matrices (G, r) and (r, M) whose product is a kernel (G, M), by its largest singular values."""
+    left, values, right = svd(kernel, full_matrices=False)
+    large = values > _LEAST_SINGULAR * values[0]
+    return left[:, large] * values[large], right[large]
 
 
 def _without_own(groups: IntArray, weight: FloatArray, rows: IntArray) -> FloatArray:
@@ -199,13 +266,42 @@ def shifted_masses(
     masses: FloatArray, grid: FloatArray, loc: FloatArray, scale: FloatArray, edges: FloatArray
 ) -> FloatArray:
     """Bin probabilities of ``loc + scale * residual``, (n, K), from masses (n, M) of the residual over `grid` cells."""
-    below = np.concatenate((np.zeros((masses.shape[0], 1)), np.cumsum(masses, axis=1)), axis=1)
+    n, m = masses.shape
     at = (edges - loc[:, None]) / scale[:, None]
-    cell = np.clip(np.searchsorted(grid, at.ravel()).reshape(at.shape) - 1, 0, grid.size - 2)
-    share = np.clip((at - grid[cell]) / np.diff(grid)[cell], 0, 1)
-    reached = np.take_along_axis(below, cell, 1) * (1 - share) + np.take_along_axis(below, cell + 1, 1) * share
-    reached[:, 0], reached[:, -1] = 0, 1
-    return np.maximum(np.diff(reached, axis=1), 0)  # rounding may take a step down
+    cell = cells_of(at, grid)
+    at -= grid.take(cell)
+    at *= (1 / np.diff(grid)).take(cell)
+    np.clip(at, 0, 1, out=at)
+    cell += m * np.arange(n)[:, None]
+    at *= masses.take(cell)
+    below = np.cumsum(masses, axis=1)
+    below -= masses
+    at += below.take(cell)
+    at[:, 0], at[:, -1] = 0, 1
+    return np.maximum(np.diff(at, axis=1), 0)  # rounding may take a step down
+
+
+def cells_of(at: FloatArray, grid: FloatArray) -> IntArray:
+    """Cells of a grid (M + 1,) that hold each value, the outer ones where none does, as of :func:`numpy.searchsorted`.
+
+    A table gives the cell for each of 4,096 steps of ``x / (c + |x|)``; from there it is a step or two upwards, in a
+    third of the time. Where a step holds many cells, it is searched.
+    """
+    middle = float(np.median(np.abs(grid))) or 1.0
+    ends = np.arange(_STEPS) / (_STEPS / 2) - 1
+    ends[0] = ends[1]  # finite; steps below the table's begin at its first cell
+    first = np.searchsorted(grid, middle * ends / (1 - np.abs(ends))) - 1
+    first[:2] = 0
+    if np.diff(first).max() > _CELLS_PER_STEP:
+        return np.asarray(np.clip(np.searchsorted(grid, at) - 1, 0, grid.size - 2))
+    place = at / (middle + np.abs(at))
+    place += 1
+    place *= _STEPS / 2
+    cell = np.clip(first, 0, grid.size - 2).take(place.astype(np.int32), mode="clip")
+    upper = np.append(grid[1:-1], np.inf)
+    while (above := upper.take(cell) < at).any():
+        cell += above
+    return np.asarray(cell)
 
 
 def log_density(proba: FloatArray, codes: IntArray, widths: FloatArray) -> FloatArray:
