@@ -24,7 +24,15 @@ from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.localizer import Beliefs, Localizer
 from conformodal.localizer.observations import MotionPrior, Posterior
-from conformodal.localizer.regions import EvidenceType, PlaceNovelty, PoseRegions, RegionRules, Support, pose_regions
+from conformodal.localizer.regions import (
+    EvidenceType,
+    PlaceNovelty,
+    PoseRegions,
+    RegionRules,
+    Support,
+    pose_regions,
+    pose_scores,
+)
 from conformodal.localizer.rooms import Rooms, thresholds_by_room
 from conformodal.localizer.sources.landmarks import LandmarkSource
 
@@ -272,6 +280,12 @@ class PoseModel:
         if self.rooms is None:
             return np.zeros(len(beliefs), dtype=np.int64)
         return self.rooms.rooms_of([mixture.candidates for mixture in beliefs.mixtures])
+
+    def scores(self, beliefs: Beliefs, targets: FloatArray) -> RealArray:
+        """Nonconformity scores (n, 7) of targets (n, 7) under beliefs about n images, as those that calibrate."""
+        supports, parts = self.localizer.supports(beliefs), self.localizer.marginals_by_part(beliefs)
+        rule = self.calibration
+        return np.concatenate([pose_scores(rule, proba, supports[rows], targets[rows]) for rows, proba in parts])
 
     def image_regions(
         self, beliefs: Beliefs, kinds: IntArray, supports: Sequence[Support] | None = None
