@@ -60,7 +60,7 @@ class _ScoredRows:
 def _scored_rows(reg: ConformalRegressor, file: Path, unit: str | None, sep: str | None) -> _ScoredRows:
     how = getattr(reg, "file_format_", {})
     frame, _ = read_table(file, CsvFormat("\t" if sep == r"\t" else sep, **how.get("csv", {})))
-    targets, label = list(reg.bins_.names), unit if unit is not None else reg.group_column_
+    targets, label = list(reg.bins_.names or ()), unit if unit is not None else reg.group_column_
     needed = [*targets, *([] if label is None else [label])]
     for name in needed:
         if name not in frame:
@@ -89,7 +89,7 @@ def _scored_rows(reg: ConformalRegressor, file: Path, unit: str | None, sep: str
 def _as_labels(column: pd.Series, as_text: bool) -> list[Any]:
     """Labels as `table fit` makes them: of units text; of groups whole numbers where all are."""
     if as_text:
-        return column.astype(str).tolist()
+        return list(column.astype(str))
     if column.dtype.kind == "f" and (column % 1 == 0).all():
-        return column.astype(int).tolist()
-    return column.tolist()
+        return list(column.astype(int))
+    return list(column)
