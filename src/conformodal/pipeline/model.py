@@ -136,6 +136,32 @@ class SourceComparison:
         )
 
 
+@dataclass(frozen=True)
+class JournalEntry:
+    """A recording that joined a model later, and how the model answered it before it had seen it."""
+
+    name: str
+    date: str  # on which it joined, ISO 8601
+    n_frames: int
+    coverage: float  # of the regions of images
+    bounded: float  # share of these that are bounded
+    path_coverage: float | None  # of the regions from all frames until then; None where the model has none
+    path_bounded: float | None
+    reliable: float  # share of the frames that are called reliable
+    median_m: float  # error of the position, online
+    first_unit: int  # label of its first calibration unit; the others follow
+    n_units: int
+
+    def describe(self) -> str:
+        """The entry in a line."""
+        path = "" if self.path_coverage is None else f" (with motion {100 * self.path_coverage:.1f} %)"
+        return (
+            f"{self.date} {self.name}: {counted(self.n_frames, 'frame')}, before it joined: regions held "
+            f"{100 * self.coverage:.1f} %{path}, {100 * self.bounded:.0f} % bounded, {100 * self.reliable:.0f} % "
+            f"reliable, median error {self.median_m:.3f}"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Localization:
     """Beliefs and calibrated regions of n images, each by itself."""
@@ -190,6 +216,7 @@ class PoseModel:
     quality: QualityRange | None = None
     detector: Detector = ORB  # of local features
     rooms: Rooms | None = None  # each with thresholds of its own; None where all frames are of one room
+    journal: tuple[JournalEntry, ...] = ()  # of recordings that joined after training, in their order
 
     def __post_init__(self) -> None:
         if self.looks_at_local_features and not self.localizer.local:

@@ -38,6 +38,7 @@ _ANY_SIGN = np.array([1.0, 0.1, 0.01, 0.001])  # tells q from -q
 _FILES: dict[str, tuple[str, ...]] = {
     "demo": ("corridor", "model", PAGE),
     "train": ("model.json",),
+    "extend": ("model.json",),
     "run": (REGIONS, TRAJECTORY, TRUTH, PAGE),
 }
 

@@ -108,6 +108,17 @@ class LandmarkSource:
         grid = None if data.detector.describes_images else data.grid
         return None if errors is None else cls(landmarks, frames, errors, grid)
 
+    def extended(self, data: SourceData, numbers: IntArray) -> Self:
+        """With all frames of other data, whose `numbers` (n,) among the known frames are larger than the known ones.
+
+        The errors of estimates stay as they were learnt.
+        """
+        truth, frames = data.sequence.require_truth(), np.arange(len(numbers))
+        chosen = frames[_keyframes(truth.positions_xyz, _AREA * self.map.depth_m)]
+        report = stage_of(data.progress, "landmarks")
+        grown = self.map.extended(data.local_features(chosen), truth[chosen].poses_se3, report)
+        return replace(self, map=grown, frames=np.concatenate((self.frames, numbers)))
+
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """At most one estimate per retrieval cluster; none for images without local features."""
         images = evidence.local_features
