@@ -22,6 +22,7 @@ COMMANDS = {
     "motion.",
     "map": "Map videos without poses: write a recording to train on, and say whether it is to be trusted.",
     "train": "Train on a data set with poses, calibrate, and save the model.",
+    "extend": "Extend a model by new recordings: each is answered first, its scores calibrate, then it joins the map.",
     "run": "Compute regions and the trajectory of sources with a saved model, frame by frame.",
     "evaluate": "Compare results with true poses: errors of every path and frame, and coverage.",
     "info": "Print what a saved model's regions hold, how large they are, and what to do next.",

@@ -7,6 +7,7 @@ needed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
@@ -14,7 +15,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from conformodal.conformal import NoveltyTest, SplitConformal, conformal_rank
+from conformodal.conformal import NoveltyTest, SplitConformal
 from conformodal.core.arrays import Float32Array, FloatArray, IntArray, RealArray, UInt8Array
 from conformodal.core.parallel import raise_if_cancelled
 from conformodal.core.progress import StageProgress, stage_of
@@ -40,6 +41,10 @@ from .identity import FrameIdentities, identify
 from .model import HINDSIGHT, ONLINE, JournalEntry, Localization, PathRule, PoseModel
 from .stream_scores import StreamScores
 
+ASSUMPTION = (
+    "This assumes that the recordings that joined are exchangeable in the order in which they came. Each was judged by "
+    "a smaller map than the one at the end: thresholds are too large rather than too small where more map helps."
+)
 _MAX_BEYOND = 0.5  # share of a recording's poses that may lie beyond the cells of the model
 
 
@@ -349,8 +354,18 @@ def _with_rooms(model: PoseModel, data: SourceData) -> tuple[Rooms | None, PoseM
 
 def n_recordings_needed(model: PoseModel) -> int:
     """Recordings that a finite threshold at the model's alpha needs."""
-    rate = model.calibration.alpha_per_target
-    return next(n for n in range(1, 10**6) if conformal_rank(n, rate) <= n)
+    return math.ceil(1 / model.calibration.alpha_per_target) - 1
+
+
+def describe_units(model: PoseModel) -> str:
+    """What calibrates an extended model, in a sentence."""
+    n, needed = len(model.journal), n_recordings_needed(model)
+    if model.configuration.get("whole_recordings"):
+        return f"Whole recordings calibrate: {model.calibration.n_units}, of which {n} joined after training."
+    return (
+        f"Stretches calibrate: {model.calibration.n_units}, those of {counted(n, 'recording')} that joined after "
+        f"training among them. Whole recordings will, once {needed} have joined and no regions become unbounded by it."
+    )
 
 
 def _by_recordings(model: PoseModel) -> PoseModel:
