@@ -58,8 +58,8 @@ def extend_model(
     """Extend a model by recordings with poses in its world frame, one after another, in the order in which they came.
 
     The thresholds rest on the assumption that the recordings are exchangeable, and that the scores of each, under the
-    smaller map before it, are no smaller than they would be under the map at the end. Head, motion prior, error models
-    and cells stay as they were learnt.
+    smaller map before it, are no smaller than they would be under the map at the end. Head, motion prior and cells
+    stay as they were learnt.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _extended(model: PoseModel, recording: Recording, cache: FeatureCache, progr
         configuration={**model.configuration, "n_frames": n_known + n},
         journal=(*model.journal, entry),
     )
-    return _by_recordings(grown)
+    return calibrate_by_recordings(grown)
 
 
 def _looked_at(
@@ -256,7 +256,7 @@ def _with_scores(
     rules, beliefs, targets = model.rules, localization.beliefs, data.targets
     supports = model.localizer.supports(beliefs)
     beyond = np.array([support.out_of_range for support in supports])
-    known_p = np.where(beyond, 0.0, np.nan_to_num(localization.known_p, nan=1.0))
+    known_p = np.where(beyond, 0.0, np.minimum(np.nan_to_num(localization.known_p, nan=1.0), 1.0))  # sums are rounded
     of_image = None if rooms is None else rooms.rooms_of(localization.candidates)
     joined = replace(
         rules,
@@ -368,7 +368,7 @@ def describe_units(model: PoseModel) -> str:
     )
 
 
-def _by_recordings(model: PoseModel) -> PoseModel:
+def calibrate_by_recordings(model: PoseModel) -> PoseModel:
     """The model calibrated on whole recordings, once enough have joined; else as it is.
 
     Each was answered by a map that had not seen it. Stretches of the training recordings were answered by maps that had
