@@ -1,6 +1,6 @@
 """A map that grows: cost and quality beside training from scratch, and coverage by recordings in a simulation.
 
-python benchmarks/extend.py [--orders 6] [--simulated 1000]
+python benchmarks/extend.py [--orders 6] [--simulated 1000]    # --orders 0: the simulation alone
 
 In each order of TUM freiburg1's three recordings, a model of the first, extended by the second, answers the third,
 beside a model that was trained on the first two. Each training and extension is measured once, and kept.
@@ -99,7 +99,7 @@ def answered(model_name: str, third: str, seed: int) -> dict[str, float]:
     return cached_json(KEPT / f"{model_name} on {third}-{seed}.json", measure)
 
 
-def order_rows(order: tuple[str, str, str], seed: int) -> list[list[str]]:
+def order_rows(order: tuple[str, ...], seed: int) -> list[list[str]]:
     """The rows of an order: the model that was extended, and the one that was trained on both."""
     first, second, third = order
     both = tuple(name for name in FR1 if name in (first, second))
@@ -183,17 +183,9 @@ def simulation_table(n_orders: int, seed: int) -> list[str]:
     return table_lines(["scores", "recordings that calibrate", "coverage of the next one", "law"], rows)
 
 
-def main() -> None:
-    parser = parser_with_seeds(__doc__, seeds=(40,))
-    parser.add_argument("--orders", type=int, default=6, help="of the recordings")
-    parser.add_argument("--simulated", type=int, default=1000, help="orders of simulated recordings")
-    options = parser.parse_args()
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
-    seed = options.seeds[0]
-    table = simulation_table(options.simulated, seed)
-    print("\n".join(table), flush=True)
-    rows = [row for order in list(permutations(FR1))[: options.orders] for row in order_rows(order, seed)]
+def beside_scratch(orders: list[tuple[str, ...]], seed: int) -> list[str | list[str]]:
+    """The table of some orders, and a note."""
+    rows = [row for order in orders for row in order_rows(order, seed)]
     tests = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(KEPT.glob(f"*, then *-{seed}.json"))]
     header = ["answered", "model", "CPU s", "median, mm", "RMSE, mm", "length, mm", "length by path, mm"]
     header += ["coverage", "bounded", "coverage by path", "bounded by path"]
@@ -205,6 +197,22 @@ def main() -> None:
         f"{max(one['coverage'] for one in tests):.3f}. Nothing is guaranteed for another recording here: stretches "
         "calibrate."
     )
+    return [table_lines(header, rows), note]
+
+
+def main() -> None:
+    parser = parser_with_seeds(__doc__, seeds=(40,))
+    parser.add_argument("--orders", type=int, default=6, help="of the recordings")
+    parser.add_argument("--simulated", type=int, default=1000, help="orders of simulated recordings")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    seed = options.seeds[0]
+    table = simulation_table(options.simulated, seed)
+    print("\n".join(table), flush=True)
+    blocks: list[str | list[str]] = []
+    if orders := list(permutations(FR1))[: options.orders]:
+        blocks = ["## Beside training from scratch", *beside_scratch(orders, seed)]
     about = (
         f"{options.simulated} simulated orders of {N_RECORDINGS} recordings with {N_FRAMES} frames after {N_BASE} that "
         "are mapped at first; a map is a nearest-neighbour regression. Each recording is scored by the map before it. "
@@ -212,8 +220,7 @@ def main() -> None:
         "recordings are larger, so that thresholds are too large rather than too small. Means with 99 % intervals."
     )
     command = f"python benchmarks/extend.py --orders {options.orders} --simulated {options.simulated}"
-    blocks = ["## Beside training from scratch", table_lines(header, rows), note, "## Coverage", table, about]
-    write_page("extend", "A map that grows", command, *blocks)
+    write_page("extend", "A map that grows", command, *blocks, "## Coverage", table, about)
 
 
 if __name__ == "__main__":
