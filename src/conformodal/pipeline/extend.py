@@ -90,9 +90,8 @@ def check_extension(model: PoseModel, recording: Recording) -> FrameIdentities:
     if not model.follows_streams:
         raise OdometryError("random frames calibrate the model; train with --split blocks or recordings to extend it")
     if recording.truth is None:
-        raise OdometryError(
-            f"{name}: has no pose for {len(recording) - len(recording.posed)} of its frames; all need one"
-        )
+        n_without = len(recording) - len(recording.posed)
+        raise OdometryError(f"{name}: {counted(n_without, 'frame')} without a pose; a recording needs one for each")
     if recording.unit != model.configuration["unit"]:
         raise OdometryError(f"{name}: has lengths in {recording.unit}, and the model in {model.configuration['unit']}")
     try:
