@@ -186,7 +186,11 @@ def simulation_table(n_orders: int, seed: int) -> list[str]:
 def beside_scratch(orders: list[tuple[str, ...]], seed: int) -> list[str | list[str]]:
     """The table of some orders, and a note."""
     rows = [row for order in orders for row in order_rows(order, seed)]
-    tests = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(KEPT.glob(f"*, then *-{seed}.json"))]
+    tests = [
+        json.loads(file.read_text(encoding="utf-8"))
+        for file in sorted(KEPT.glob(f"*, then *-{seed}.json"))
+        if " on " not in file.name
+    ]
     header = ["answered", "model", "CPU s", "median, mm", "RMSE, mm", "length, mm", "length by path, mm"]
     header += ["coverage", "bounded", "coverage by path", "bounded by path"]
     note = (
