@@ -133,4 +133,5 @@ def _landmarks(features, detector):
         3.0,
     )
     errors = ErrorModel(1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, (0.5, 0.5, 0.5))
-    return LandmarkSource(mapped, _FRAMES, errors, (4, 4))
+    held_out = np.random.default_rng(2).random((30, 9))
+    return LandmarkSource(mapped, _FRAMES, errors, (4, 4), held_out)

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from conformodal.pipeline.extend import describe_units
 from conformodal.pipeline.guarantee import describe_guarantee, guarantees, short_guarantee
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.results import METRICS, read_metrics
@@ -19,10 +20,10 @@ def info(model: SavedModel, verbose: Verbose = False, as_json: AsJson = False) -
     """Print what a saved model's regions hold, how large they are, and what to do next."""
     facts = _facts(load_model(model), model)
     print_json(facts)
-    for line in facts["verdict"]:
+    for line in (*facts["verdict"], *facts.get("journal", ())):
         report_line(line)
     for name, value in facts.items():
-        report_line(f"{name}: {'; '.join(value) if name == 'guarantees' else value}", detail=True)
+        report_line(f"{name}: {'; '.join(value) if name in ('guarantees', 'journal') else value}", detail=True)
 
 
 def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
@@ -38,5 +39,13 @@ def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
         "verdict": trained.get("verdict") or [f"coverage: {short_guarantee(model)}"],
         "guarantee": describe_guarantee(model),
         "guarantees": [one.describe() for one in by_type],
+        **_growth(model),
         "bytes": {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()},
     }
+
+
+def _growth(model: PoseModel) -> dict[str, Any]:
+    """The recordings that joined a model later, and what calibrates it; nothing of a model as it was trained."""
+    if not model.journal:
+        return {}
+    return {"journal": [entry.describe() for entry in model.journal], "units": describe_units(model)}

@@ -22,13 +22,21 @@ COMMANDS = {
     "motion.",
     "map": "Map videos without poses: write a recording to train on, and say whether it is to be trusted.",
     "train": "Train on a data set with poses, calibrate, and save the model.",
+    "extend": "Extend a model by new recordings: each is answered first, its scores calibrate, then it joins the map.",
     "run": "Compute regions and the trajectory of sources with a saved model, frame by frame.",
     "evaluate": "Compare results with true poses: errors of every path and frame, and coverage.",
     "info": "Print what a saved model's regions hold, how large they are, and what to do next.",
+    "monitor": "Test whether new recordings, or rows, are like those that calibrate; exit code 1 is an alarm.",
     "data": "Check or convert a data set.",
     "table": "Learn columns of a CSV file from the others (fit, the default), or write regions of new rows (predict).",
 }
-_EXTRAS = {"demo": "train", "train": "train", "table": "table", "map": "train"}  # the others need 'run'
+_EXTRAS = {
+    "monitor": "table",
+    "demo": "train",
+    "train": "train",
+    "table": "table",
+    "map": "train",
+}  # the others need 'run'
 _HELP = "Every pose that an image may show, with a coverage guarantee; and the one that fits the motion."
 
 

@@ -15,6 +15,7 @@ from conformodal.core.extras import lazy_getattr
 from .bins import QuantileBins
 from .calibrators.split import SplitConformal
 from .coverage import CoverageCheck, check_coverage, coverage_band, grouped_coverage_band
+from .monitor import ExchangeabilityMartingale, unit_scores
 from .novelty import NoveltyTest
 from .rank import conformal_quantile, conformal_rank, hierarchical_quantile
 from .regions import Regions
@@ -45,10 +46,9 @@ _LATE = {  # a camera needs none of these, and scikit-learn takes half a second 
 __getattr__ = lazy_getattr(__name__, {name: module for module, names in _LATE.items() for name in names})
 
 __all__ = [
-    "Aci", "Aps", "ConditionalConformal", "ConformalRegressor", "ConformodalError", "CoverageCheck",
-    "DataWarning", "Density", "Diagnosis", "Interval", "Lac", "MondrianConformal", "NotCalibratedError",
-    "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity",
-    "Regions", "ScaledDensity", "Score", "SplitConformal", "StackedDensity", "check_coverage", "conformal_quantile",
-    "conformal_rank", "coverage_band", "diagnose", "grouped_coverage_band",
-    "hierarchical_quantile", "register_score",
+    "Aci", "Aps", "ConditionalConformal", "ConformalRegressor", "ConformodalError", "CoverageCheck", "DataWarning",
+    "Density", "Diagnosis", "ExchangeabilityMartingale", "Interval", "Lac", "MondrianConformal", "NotCalibratedError",
+    "NoveltyTest", "OnlineConformal", "PredictiveDensity", "QuantileBins", "QuickDensity", "Regions", "ScaledDensity",
+    "Score", "SplitConformal", "StackedDensity", "check_coverage", "conformal_quantile", "conformal_rank",
+    "coverage_band", "diagnose", "grouped_coverage_band", "hierarchical_quantile", "register_score", "unit_scores",
 ]  # fmt: skip

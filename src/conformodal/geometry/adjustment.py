@@ -75,7 +75,7 @@ class PosePriors(NamedTuple):
     """Where cameras are expected."""
 
     poses: FloatArray  # (n, 4, 4) ``T_world_cam``
-    sigmas: FloatArray  # (6,) radians in the camera's frame, and metres
+    sigmas: FloatArray  # (6,), or (n, 6) of each camera: radians in the camera's frame, and metres
 
     def deviations(self, bundle: Bundle) -> FloatArray:
         """Rotation vectors and translations (n, 6) from the expected poses to those of a bundle."""
@@ -167,7 +167,7 @@ class Adjustment:
         products = _grams(changes, changes, self.observations.starts(len(bundle.centres)))
         cameras, gradients = products[:, :6, :6] + _REGULAR * np.eye(6), products[:, :6, 7]
         if self.priors is not None and fit.deviations is not None:
-            cameras = cameras + np.diag(1 / self.priors.sigmas**2)
+            cameras = cameras + (1 / self.priors.sigmas**2)[..., None] * np.eye(6)
             gradients = gradients + fit.deviations / self.priors.sigmas
         of_points = np.einsum("mka,mkb->mab", by_point, np.concatenate((by_point, changes[:, :, 6:]), axis=2))
         point_sums = self.observations.sum_by_point(of_points, len(bundle.points))

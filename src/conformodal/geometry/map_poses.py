@@ -40,6 +40,7 @@ MIN_PER_FRAME = 20.0  # observations, on average: with fewer, poses stay as give
 SIGMA_RAD, SIGMA_DEPTHS, _MIN_SIGMA = float(np.radians(1.0)), 0.01, 0.05
 _SIGMA_ADJUSTED_FOCAL = 0.02  # of the logarithm of the focal length
 _ITERATIONS, _ENOUGH = 8, 3e-3  # of one adjustment, and the share of the cost below which an iteration ends it
+_SIGMA_KNOWN = 1e-6  # of poses that stay as they are
 _TRACKS, _MIN_VIEWS = 80, 3  # of each frame, the longest first
 
 
@@ -168,6 +169,32 @@ class MapPoses:
         spread = np.repeat([np.median(off[:, :3]), np.median(off[:, 3:])], 3) / MAD_OF_NORMAL
         sigmas = np.maximum(spread, _MIN_SIGMA * self.sigmas)
         return replace(self, mounted=mounted, poses_cam=poses_cam, sigmas=sigmas)
+
+    def adjusted_beside(self, n_known: int, expected: FloatArray, tracks: Tracks) -> MapPoses:
+        """Poses after bundle adjustment of those after the first `n_known`, which stay as they are, like the camera.
+
+        `expected` (m, 4, 4) are the given ``T_world_cam`` of the others, near which the sigmas hold them.
+        """
+        camera, known = self.mounted.camera, self.poses_cam[:n_known]
+        priors = PosePriors(
+            np.concatenate((known, expected)),
+            np.concatenate((np.full((n_known, 6), _SIGMA_KNOWN), np.tile(self.sigmas, (len(expected), 1)))),
+        )
+        order = np.argsort(tracks.frame, kind="stable")
+        adjustment = Adjustment(
+            ObservedCorners(tracks.frame[order], tracks.point[order], tracks.plane[order]),
+            sigma=2 / (camera.fx + camera.fy),
+            cauchy=1.0,
+            unknown=POSITIONS,
+            iterations=_ITERATIONS,
+            enough=_ENOUGH,
+            priors=priors,
+        )
+        points = np.column_stack((tracks.points, np.ones(len(tracks.points))))
+        start = Bundle(self.poses_cam[:, :3, :3], self.poses_cam[:, :3, 3], points)
+        bundle = adjustment.solve(start).bundle
+        moved = rigid_motions(bundle.R_world_cam, bundle.centres)[n_known:]
+        return replace(self, poses_cam=np.concatenate((known, moved)))
 
     def corrections(self, poses_se3: FloatArray) -> FloatArray:
         """Differences (n, 6) from the given poses, in the given frame: metres and a rotation vector, world."""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -227,14 +228,32 @@ def _on_cells(rule: SplitConformal, localizer: Localizer) -> SplitConformal:
 
 
 @dataclass(frozen=True, eq=False)
-class _Scored(Rows):
-    """Scores of held-out frames under posteriors."""
+class PathScores(Rows):
+    """Scores of n frames under posteriors."""
 
-    scores: RealArray
-    lost: BoolArray
-    unseen_s: FloatArray
-    rows: IntArray  # among the held-out frames
-    rooms: IntArray  # by the posteriors; 0 where there is one
+    scores: RealArray  # (n, 7)
+    lost: BoolArray  # (n,) whether the region is unbounded
+    unseen_s: FloatArray  # (n,) to the nearest frame whose image shows a known place
+    rooms: IntArray  # (n,) by the posteriors; 0 where there is one
+
+    @classmethod
+    def of(
+        cls,
+        localizer: Localizer,
+        beliefs: Beliefs,
+        posteriors: Sequence[Posterior],
+        targets: FloatArray,
+        rooms: Rooms | None,
+    ) -> Self:
+        """Of targets (n, 7), from beliefs about the images and posteriors."""
+        rule, after = path_rule(localizer.cells, 0.1), beliefs.after(posteriors)  # no score depends on the rate
+        best = [mixture.candidates for mixture in after.mixtures]
+        return cls(
+            score_beliefs(rule, localizer, after, targets),
+            np.array([one.lost for one in posteriors]) | _out_of_range(localizer, after),
+            np.array([one.unseen_s for one in posteriors]),
+            np.zeros(len(targets), dtype=np.int64) if rooms is None else rooms.rooms_of(best),
+        )
 
 
 def calibrate_paths(
@@ -260,7 +279,8 @@ def calibrate_paths(
         return {}
     rules, units = calibrated.rules, folds.units
     streams = data.sequence.recording if units is None else units
-    scored: dict[str, list[_Scored]] = {path: [] for path in PATHS}
+    scored: dict[str, list[PathScores]] = {path: [] for path in PATHS}
+    answered: list[IntArray] = []  # held-out frames, in the order of the scores
     start = 0
     for fold, localizer, beliefs in zip(folds.folds, localizers, calibrated.beliefs, strict=True):
         held_out = fold.held_out
@@ -278,28 +298,23 @@ def calibrate_paths(
             posteriors[ONLINE] += forward
             posteriors[HINDSIGHT] += hindsight_posteriors(observations, prior, forward)
             raise_if_cancelled()
-        rule, rows = path_rule(localizer.cells, rules.overall.alpha), np.concatenate(order)
+        rows = np.concatenate(order)
+        answered.append(held_out[rows])
         for path, each in posteriors.items():
-            after = beliefs.part(rows).after(each)
-            lost = np.array([one.lost for one in each]) | _out_of_range(localizer, after)
-            scores = score_beliefs(rule, localizer, after, data.targets[held_out[rows]])
-            unseen_s = np.array([one.unseen_s for one in each])
-            best = [mixture.candidates for mixture in after.mixtures]
-            in_rooms = np.zeros(len(rows), dtype=np.int64) if rooms is None else rooms.rooms_of(best)
-            scored[path].append(_Scored(scores, lost, unseen_s, start + rows, in_rooms))
+            targets = data.targets[held_out[rows]]
+            scored[path].append(PathScores.of(localizer, beliefs.part(rows), each, targets, rooms))
         start += len(held_out)
-    held_out_units = None if units is None else units[folds.held_out]
-    return {path: _path_rule(rules.overall, parts, held_out_units) for path, parts in scored.items()}
+    of_units = None if units is None else units[np.concatenate(answered)]
+    return {path: make_path_rule(rules.overall, PathScores.concatenate(p), of_units) for path, p in scored.items()}
 
 
-def _path_rule(overall: SplitConformal, parts: list[_Scored], units: IntArray | None) -> PathRule:
-    """From the scores of the folds; `units` are those of all held-out frames, None if these are exchangeable."""
-    every = _Scored.concatenate(parts)
+def make_path_rule(overall: SplitConformal, scored: PathScores, units: IntArray | None) -> PathRule:
+    """From scores of n frames in `units` (n,), None if frames are exchangeable."""
     rule = path_rule(overall.bins, overall.alpha)
-    rule.calibrate_scores(every.scores, None if units is None else units[every.rows])
-    found = ~every.lost
-    rooms = every.rooms[found] if every.rooms.any() else None
-    return PathRule(part_of(rule, found), float(every.unseen_s[found].max(initial=0.0)), rooms)
+    rule.calibrate_scores(scored.scores, units)
+    found = ~scored.lost
+    rooms = scored.rooms[found] if scored.rooms.any() else None
+    return PathRule(part_of(rule, found), float(scored.unseen_s[found].max(initial=0.0)), rooms)
 
 
 def compare_sources(

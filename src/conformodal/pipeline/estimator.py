@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from conformodal.core.arrays import UInt8Array
+from conformodal.core.arrays import Float32Array, FloatArray, UInt8Array
 from conformodal.features.local import LocalFeatures, extract_local_features
 from conformodal.geometry import RelativeMotion, Trajectory
 from conformodal.geometry.camera import NO_FLOW
@@ -76,8 +76,8 @@ class VisualOdometry(Odometry):
 
     def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
         grey = grey_image(image)  # once for tracker and local features
-        motion = self._front_end.measure(grey)
-        evidence = FrameEvidence(partial(self.model.backbone.features_of, image))
+        motion = self._motion(grey)
+        evidence = FrameEvidence(partial(self._features, image))
         carried = False
         if self.model.looks_at_local_features:
             look = self._look(grey, timestamp_s, motion)
@@ -89,14 +89,26 @@ class VisualOdometry(Odometry):
 
     def _look(self, grey: UInt8Array, timestamp_s: float, motion: RelativeMotion | None) -> FrameLook:
         """The local features of the next frame."""
-        model, flow = self.model, NO_FLOW
-        if self._usable_s is not None:
-            flow = affine_flow(self._front_end.tracker.step, timestamp_s - self._usable_s, model.camera)
-
-        def detect(turn_rad: float) -> LocalFeatures:
-            return extract_local_features(grey, model.camera, model.detector, turn_rad)._replace(flow=flow)
-
+        flow = self._flow(timestamp_s)
+        detect = partial(self._detect, grey, flow)
         return self._stream.look(StreamFrame(grey, timestamp_s, motion, flow), detect)
+
+    # ---- what is measured in an image; a recording that was looked at before has it already
+
+    def _motion(self, grey: UInt8Array) -> RelativeMotion | None:
+        return self._front_end.measure(grey)
+
+    def _features(self, image: UInt8Array) -> Float32Array:
+        return self.model.backbone.features_of(image)
+
+    def _flow(self, timestamp_s: float) -> FloatArray:
+        if self._usable_s is None:
+            return NO_FLOW
+        return affine_flow(self._front_end.tracker.step, timestamp_s - self._usable_s, self.model.camera)
+
+    def _detect(self, grey: UInt8Array, flow: FloatArray, turn_rad: float) -> LocalFeatures:
+        model = self.model
+        return extract_local_features(grey, model.camera, model.detector, turn_rad)._replace(flow=flow)
 
     def _estimate(self, localization: Localization, motion: RelativeMotion | None, timestamp_s: float) -> Estimate:
         """The estimate of the next frame, from the posterior up to it."""

@@ -46,6 +46,11 @@ def _of_all_rooms(model: PoseModel) -> str:
         f"a random frame of a new {unit}, if it is exchangeable with the {rule.n_units} that calibrate them, and the "
         "model's sources, which know all of these, have no larger scores than those that lacked some."
     )
+    if model.journal:
+        text += (
+            f" {counted(len(model.journal), 'recording')} joined after training, each judged by the smaller map before "
+            "it: this holds if they are exchangeable in the order in which they came, and more map helps."
+        )
     if unit == "stretch":
         text += " It does not reach a recording of which nothing is known."
     if model.split.kind is SplitKind.GIVEN:
@@ -70,7 +75,8 @@ def short_guarantee(model: PoseModel) -> str:
     if rule.units_ is not None:
         if model.configuration.get("whole_recordings"):
             return f"{what}the frames of a new recording, on average over these"
-        return f"{what}the frames of a new stretch of the same recording, on average over these{_NOT_ELSEWHERE}"
+        of = "one of these recordings" if model.journal else "the same recording"
+        return f"{what}the frames of a new stretch of {of}, on average over these{_NOT_ELSEWHERE}"
     if model.frames_are_exchangeable:
         return f"{what}frames drawn at random from the same recording{_NOT_ELSEWHERE}"
     return f"no guarantee of the {asked} asked for: random frames calibrate, and held-out stretches are unlike these"

@@ -24,7 +24,15 @@ from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.localizer import Beliefs, Localizer
 from conformodal.localizer.observations import MotionPrior, Posterior
-from conformodal.localizer.regions import EvidenceType, PlaceNovelty, PoseRegions, RegionRules, Support, pose_regions
+from conformodal.localizer.regions import (
+    EvidenceType,
+    PlaceNovelty,
+    PoseRegions,
+    RegionRules,
+    Support,
+    pose_regions,
+    pose_scores,
+)
 from conformodal.localizer.rooms import Rooms, thresholds_by_room
 from conformodal.localizer.sources.landmarks import LandmarkSource
 
@@ -128,6 +136,32 @@ class SourceComparison:
         )
 
 
+@dataclass(frozen=True)
+class JournalEntry:
+    """A recording that joined a model later, and how the model answered it before it had seen it."""
+
+    name: str
+    date: str  # on which it joined, ISO 8601
+    n_frames: int
+    coverage: float  # of the regions of images
+    bounded: float  # share of these that are bounded
+    path_coverage: float | None  # of the regions from all frames until then; None where the model has none
+    path_bounded: float | None
+    reliable: float  # share of the frames that are called reliable
+    median_m: float  # error of the position, online
+    first_unit: int  # label of its first calibration unit; the others follow
+    n_units: int
+
+    def describe(self) -> str:
+        """The entry in a line."""
+        path = "" if self.path_coverage is None else f" (with motion {100 * self.path_coverage:.1f} %)"
+        return (
+            f"{self.date} {self.name}: {counted(self.n_frames, 'frame')}, before it joined: regions held "
+            f"{100 * self.coverage:.1f} %{path}, {100 * self.bounded:.0f} % bounded, {100 * self.reliable:.0f} % "
+            f"reliable, median error {self.median_m:.3f}"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Localization:
     """Beliefs and calibrated regions of n images, each by itself."""
@@ -182,6 +216,7 @@ class PoseModel:
     quality: QualityRange | None = None
     detector: Detector = ORB  # of local features
     rooms: Rooms | None = None  # each with thresholds of its own; None where all frames are of one room
+    journal: tuple[JournalEntry, ...] = ()  # of recordings that joined after training, in their order
 
     def __post_init__(self) -> None:
         if self.looks_at_local_features and not self.localizer.local:
@@ -272,6 +307,12 @@ class PoseModel:
         if self.rooms is None:
             return np.zeros(len(beliefs), dtype=np.int64)
         return self.rooms.rooms_of([mixture.candidates for mixture in beliefs.mixtures])
+
+    def scores(self, beliefs: Beliefs, targets: FloatArray) -> RealArray:
+        """Nonconformity scores (n, 7) of targets (n, 7) under beliefs about n images, as those that calibrate."""
+        supports, parts = self.localizer.supports(beliefs), self.localizer.marginals_by_part(beliefs)
+        rule = self.calibration
+        return np.concatenate([pose_scores(rule, proba, supports[rows], targets[rows]) for rows, proba in parts])
 
     def image_regions(
         self, beliefs: Beliefs, kinds: IntArray, supports: Sequence[Support] | None = None

@@ -32,11 +32,13 @@ from .model import METHODS, PAPERS_METHOD
 REGIONS, METRICS, TRAJECTORY, TRUTH = "regions.jsonl", "metrics.json", "trajectory.tum", "truth.tum"
 PAGE = "report.html"
 UNFINISHED = ".part"  # follows the name of a file that a run has not finished, or was killed before it had
+WORST_SCORE = 1e300  # stands for an infinite score, which JSON does not have
 _ANY_SIGN = np.array([1.0, 0.1, 0.01, 0.001])  # tells q from -q
 # The files of each command. The first tells whose a folder is that has no metrics; commands that run others come first.
 _FILES: dict[str, tuple[str, ...]] = {
     "demo": ("corridor", "model", PAGE),
     "train": ("model.json",),
+    "extend": ("model.json",),
     "run": (REGIONS, TRAJECTORY, TRUTH, PAGE),
 }
 
@@ -48,8 +50,11 @@ class ResultsError(ConformodalError):
 # ---- records of regions
 
 
-def record_of(name: str, estimate: Estimate) -> dict[str, Any]:
-    """The record of a frame, one line of ``regions.jsonl``, from its estimate, which has a region."""
+def record_of(name: str, estimate: Estimate, score: float | None = None) -> dict[str, Any]:
+    """The record of a frame, one line of ``regions.jsonl``, from its estimate, which has a region.
+
+    `score` is the nonconformity score of the true pose, where it is known.
+    """
     region, evidence, motion = estimate.region, estimate.evidence, estimate.relative_motion
     assert region is not None
     assert evidence is not None
@@ -64,6 +69,7 @@ def record_of(name: str, estimate: Estimate) -> dict[str, Any]:
         # by the image's belief, of a world of several rooms; 0 of one
         "room": 0 if estimate.localization is None else int(estimate.localization.rooms[0]),
         "motion": "first" if motion is None else str(motion.status),
+        "score": None if score is None else float(f"{min(score, WORST_SCORE):.8g}"),
         # [null, null] is the whole line; [] an empty set
         "intervals": {name: _ends(parts) for name, parts in zip(TARGET_NAMES, region.intervals(0), strict=True)},
         "places": _place_records(region),

@@ -43,9 +43,9 @@ from conformodal.localizer.sources.registry import SourceState, find_source
 
 from .config import Method
 from .identity import FrameIdentities
-from .model import PATHS, ExpectedInput, PathRule, PoseModel, SourceComparison, path_rule
+from .model import PATHS, ExpectedInput, JournalEntry, PathRule, PoseModel, SourceComparison, path_rule
 
-FORMAT = "conformodal-model-31"
+FORMAT = "conformodal-model-32"
 _JSON = "model.json"
 _FILES = {  # with the first digits of their digests; the detector of local features may have no network: an empty file
     "weights": "weights-{}.safetensors",
@@ -119,6 +119,19 @@ _RECORD: dict[str, Any] = {  # the content of model.json, without its digest
             "larger": _SHARE,
         },
     ),
+    "journal": ListOf(
+        {
+            "name": str,
+            "date": str,
+            "n_frames": Range(1, 10**9, whole=True),
+            **dict.fromkeys(("coverage", "bounded", "reliable"), _SHARE),
+            **dict.fromkeys(("path_coverage", "path_bounded"), (None, _SHARE)),
+            "median_m": Range(0, 1e9),
+            "first_unit": _COUNT,
+            "n_units": Range(1, 10**9, whole=True),
+        },
+        least=0,
+    ),
     "weights": str,
     "network": str,
     "detector": str,
@@ -152,6 +165,7 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "step_s": model.expected_input.step_s,
         "configuration": model.configuration,
         "comparison": None if model.comparison is None else asdict(model.comparison),
+        "journal": [asdict(entry) for entry in model.journal],
         **{name: hashlib.sha256(contents[name]).hexdigest() for name in _FILES},
     }
     record["sha256"] = _digest(record)
@@ -309,6 +323,7 @@ def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path)
         path_rules=path_rules,
         quality=QualityRange(*arrays["quality"]) if "quality" in arrays else None,
         rooms=_rooms(arrays),
+        journal=tuple(JournalEntry(**entry) for entry in record["journal"]),
     )
 
 

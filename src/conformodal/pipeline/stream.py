@@ -169,9 +169,10 @@ class StreamRunner:
         assert pose is not None
         self.n_answered += 1
         self.n_localized += bool(estimate.estimates)
-        if self.writer is not None:
-            self.writer.region(record_of(frame.name, estimate))
         truth = self.scores.true_pose(frame)
+        if self.writer is not None:
+            score = None if truth is None else self.scores.score(estimate, truth)
+            self.writer.region(record_of(frame.name, estimate, score))
         if truth is not None:
             self.scores.add(self.n_answered - 1, estimate, truth)
         if not self.estimator.whole_paths:  # each answer is the last word

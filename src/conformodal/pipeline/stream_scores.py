@@ -9,6 +9,7 @@ import numpy as np
 from conformodal.core.arrays import IntArray
 from conformodal.geometry import Trajectory, concatenate
 from conformodal.io.streams.frames import Frame
+from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.regions import PoseRegions
 
 from .estimates import Estimate
@@ -55,6 +56,17 @@ class StreamScores:
         """The true pose of a frame, a trajectory of one; None where it is not known."""
         row = self._row.get(frame.index)
         return None if self._truth is None or row is None else self._truth[row : row + 1]
+
+    def score(self, estimate: Estimate, truth: Trajectory) -> float | None:
+        """The nonconformity score of a frame's true pose, the largest of those that calibrate; None without a belief.
+
+        Positions alone have none.
+        """
+        if estimate.localization is None or not np.isfinite(truth.orientations_quat_wxyz).all():
+            return None
+        targets = pose_targets(truth, self._model.sign_reference)
+        scores = self._model.scores(estimate.localization.beliefs, targets)
+        return float(self._model.calibration.columns(scores).max())
 
     def add(self, answer: int, estimate: Estimate, truth: Trajectory) -> None:
         """Count the answer of this number, counted from 0, whose true pose is known."""

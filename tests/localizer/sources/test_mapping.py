@@ -190,3 +190,44 @@ def test_a_map_does_not_depend_on_the_number_of_threads(monkeypatch, world_of, s
         maps.append(LandmarkMap.build(world.local_features(wrong=0.2), world.poses_se3, stated_camera, depth_m))
     for name in ("points_xyz", "descriptors", "starts", "T_pose_cam"):
         np.testing.assert_array_equal(getattr(maps[0], name), getattr(maps[1], name))
+
+
+def test_a_map_that_grows_keeps_what_it_has_and_localises_what_it_is_taught(world_of, stated_camera, depth_m):
+    """Half of the frames are mapped, those of one side; the rest join, without images of the first half."""
+    world = world_of(n=60, turn=(0.01, -0.02, 0.01), place=(0.02, 0.01, 0))
+    features, poses = world.local_features(), world.poses_se3
+    first = LandmarkMap.build(features[:40], poses[:40], stated_camera, depth_m)
+    grown = first.extended(features[40:], poses[40:], None)
+    for name in ("points_xyz", "descriptors", "poses_se3", "corrections", "global_descriptors"):
+        before = getattr(first, name)
+        np.testing.assert_array_equal(getattr(grown, name)[: len(before)], before)
+    assert len(grown.starts) == 61
+    assert grown.starts[-1] == len(grown.points_xyz) > len(first.points_xyz)
+    new = grown.points_xyz[len(first.points_xyz) :].astype(float)
+    off = np.linalg.norm(new[:, None] - world.points[None], axis=2).min(axis=1)
+    assert np.median(off) < 0.03
+    pose = poses[52].copy()
+    pose[:3, 3] += 0.02
+    seen = world.see(pose, seed=99)
+    errors = [_nearest_error(one.localize(seen), pose) for one in (first, grown)]
+    assert errors[1] < 0.01
+    assert errors[1] < errors[0]
+
+
+def test_poses_of_new_frames_are_adjusted_to_the_map(world_of, stated_camera, depth_m):
+    world = world_of(n=60)
+    features, poses, new = world.local_features(), world.poses_se3, np.arange(60) % 3 == 1
+    given = poses.copy()
+    given[:, :3, 3] += 0.01 * np.random.default_rng(3).normal(size=(60, 3))
+    features = [
+        [one for one, joins in zip(features, new, strict=True) if bool(joins) is which] for which in (False, True)
+    ]
+    first = LandmarkMap.build(features[0], given[~new], stated_camera, depth_m)
+    grown = first.extended(features[1], given[new], None)
+    adjusted = given[new, :3, 3] + grown.corrections[40:, :3]
+    off, before = (np.linalg.norm(each - poses[new, :3, 3], axis=1) for each in (adjusted, given[new, :3, 3]))
+    assert np.median(off) < 0.5 * np.median(before)
+
+
+def _nearest_error(estimates, pose):
+    return min((np.linalg.norm(one.position_xyz - pose[:3, 3]) for one in estimates), default=np.inf)

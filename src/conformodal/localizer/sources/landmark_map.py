@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Self
 
@@ -17,7 +17,8 @@ from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArra
 from conformodal.core.progress import Progress
 from conformodal.features.local import Descriptors, LocalFeatures, Matcher, match, similar_enough
 from conformodal.geometry import PinholeCamera, cross_matrices, rigid_motions
-from conformodal.geometry.adjustment import MEDIAN_OF_NORM2
+from conformodal.geometry.adjustment import MAD_OF_NORMAL, MEDIAN_OF_NORM2
+from conformodal.geometry.map_poses import RigCalibration
 from conformodal.geometry.triangulation import local_origin
 from conformodal.localizer.evidence import LandmarkView, PoseMeasurement
 
@@ -44,6 +45,7 @@ _CORRECTED_BY, _MIN_DISTANCE = 6, 0.01
 _GUIDING_INLIERS, _GUIDING_KEYFRAMES, _CONSIDERED = 30, 6, 100
 # Keyframes near an expected pose whose rolls are looked at; and the roll up to which XFeat matches as well as upright
 _ROLLS, _MATCHED_ROLL_RAD = 10, float(np.radians(30.0))
+_MIN_SIGMA = 5e-4  # of given poses, radians and scene depths
 _RADIUS_PX, _CORNERS = 8.0, 4  # corners nearest to a landmark that are compared with it
 
 
@@ -108,6 +110,49 @@ class LandmarkMap:
             mapped.corrections,
             depth_m,
         )
+
+    def extended(self, features: Sequence[LocalFeatures], poses_se3: FloatArray, progress: Progress | None) -> Self:
+        """The map with m more frames, whose poses (m, 4, 4) are known; what is mapped stays as it is.
+
+        Corners of the new frames are matched with each other's, and with the landmarks of keyframes that look at the
+        same: these are where the map projects them.
+        """
+        from .mapping import KnownFrames, triangulate_beside  # noqa: PLC0415 - only learning needs it
+
+        moved = poses_se3.copy()
+        moved[:, :3, 3] -= self.origin_xyz
+        mounted = RigCalibration(self.camera, self.T_pose_cam, self.shutter)
+        shift, turn = np.nanmedian(np.abs(self.corrections), axis=0).reshape(2, 3).mean(axis=1) / MAD_OF_NORMAL
+        sigmas = np.repeat([max(turn, _MIN_SIGMA), max(shift, _MIN_SIGMA * self.depth_m)], 3)
+        known = KnownFrames(self._projections(), self.poses_se3, self._poses_cam, mounted, sigmas)
+        added = triangulate_beside(known, features, moved, self.depth_m, progress)
+        described = np.array([one.global_descriptor for one in features], dtype=np.float16)
+        return replace(
+            self,
+            poses_se3=np.concatenate((self.poses_se3, moved)),
+            global_descriptors=np.concatenate((self.global_descriptors, described)),
+            starts=np.concatenate((self.starts, self.starts[-1] + added.starts[1:])),
+            points_xyz=np.concatenate((self.points_xyz, added.points_xyz)),
+            descriptors=np.concatenate([self.descriptors, added.descriptors]),
+            corrections=np.concatenate((self.corrections, added.corrections)),
+        )
+
+    @property
+    def _poses_cam(self) -> FloatArray:
+        """(n, 4, 4) adjusted ``T_world_cam`` of the keyframes."""
+        off = np.nan_to_num(self.corrections)
+        turned = Rotation.from_rotvec(off[:, 3:]).as_matrix() @ self.poses_se3[:, :3, :3]
+        return np.asarray(rigid_motions(turned, self.poses_se3[:, :3, 3] + off[:, :3]) @ self.T_pose_cam)
+
+    def _projections(self) -> list[LocalFeatures]:
+        """The landmarks of each keyframe as its corners."""
+        keyframes = []
+        nothing = np.empty(0, np.float32)
+        for i, T_world_cam in enumerate(self._poses_cam):
+            mine = slice(self.starts[i], self.starts[i + 1])
+            pixels, _ = self._projected(self.points_xyz[mine].astype(np.float64), T_world_cam)
+            keyframes.append(LocalFeatures(pixels, self.descriptors[mine], nothing))
+        return keyframes
 
     @cached_property
     def _descriptors(self) -> Float32Array:

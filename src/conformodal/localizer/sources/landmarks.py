@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -45,6 +45,7 @@ _ARRAYS = {
     "descriptors": ArraySpec("Bb", ("n_landmarks", "n_bytes"), "anything"),
     "corrections": ArraySpec("d", ("n_keyframes", 6), "finite or NaN"),
 }
+_HELD_OUT = {"held_out": ArraySpec("d", ("n_held_out?", 9))}
 _SETTINGS = {
     "camera": CAMERA_JSON,
     "depth_m": Range(0, 1e9, "(]"),
@@ -77,6 +78,9 @@ class LandmarkSource:
     errors: ErrorModel
     # of the network's map, which retrieves places; None: the detector's description of the image does, or a thumbnail
     grid: tuple[int, int] | None = None
+    # (m, 9) estimates of left-out keyframes, from which the errors were learnt: error and sigma in metres and radians,
+    # distance to the nearest keyframe, weight, and what supports each
+    held_out: FloatArray = field(default_factory=lambda: np.empty((0, 9)))
 
     @property
     def carries(self) -> bool:
@@ -109,9 +113,31 @@ class LandmarkSource:
         camera, depth_m = data.sequence.camera, data.depth.median_m
         landmarks = LandmarkMap.build(features, truth.poses_se3, camera, depth_m, done(0), data.computed.matcher)
         groups = pieces[chosen], data.stretches[chosen]
-        errors = _fit_errors(landmarks, features, truth, groups, left_out, done(len(chosen)))
+        held_out = _held_out_errors(landmarks, features, truth, groups, left_out, done(len(chosen)))
+        errors = _fit_errors(held_out, depth_m)
         grid = None if data.detector.describes_images else data.grid
-        return None if errors is None else cls(landmarks, frames, errors, grid)
+        return None if errors is None else cls(landmarks, frames, errors, grid, held_out)
+
+    def extended(self, data: TrainingData, numbers: IntArray) -> Self:
+        """With all frames of other data, whose `numbers` (n,) among the known frames are larger than the known ones.
+
+        Errors are learnt from those of earlier frames and of some of these, estimated with their whole recording, their
+        stretch or their surroundings hidden.
+        """
+        every, whole = data.sequence.require_truth(), np.arange(len(numbers))
+        chosen = whole[_keyframes(every.poses_se3, self.map.depth_m)]
+        left_out, report = evenly_spread(len(chosen), _LEFT_OUT), stage_of(data.progress, "landmarks")
+
+        def done(before: int) -> Progress | None:
+            return None if report is None else lambda n, _: report(before + n, len(chosen) + len(left_out))
+
+        features, truth = data.local_features(chosen), every[chosen]
+        grown = self.map.extended(features, truth.poses_se3, done(0))
+        groups = np.zeros(len(chosen), dtype=np.int64), data.stretches[chosen]
+        added = _held_out_errors(grown, features, truth, groups, left_out, done(len(chosen)))
+        held_out = np.concatenate((self.held_out, added))
+        errors = _fit_errors(held_out, grown.depth_m) or self.errors
+        return replace(self, map=grown, frames=np.concatenate((self.frames, numbers)), errors=errors, held_out=held_out)
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """At most one estimate per retrieval cluster; none for images without local features."""
@@ -154,7 +180,7 @@ class LandmarkSource:
 
     def state(self) -> SourceState:
         """The map's arrays and camera, and the errors."""
-        arrays = {"frames": self.frames, **{k: getattr(self.map, k) for k in _ARRAYS}}
+        arrays = {"frames": self.frames, "held_out": self.held_out, **{k: getattr(self.map, k) for k in _ARRAYS}}
         settings = {"camera": asdict(self.map.camera), "depth_m": self.map.depth_m, "errors": asdict(self.errors)}
         return SourceState(arrays, {**settings, "grid": self.grid})
 
@@ -163,7 +189,7 @@ class LandmarkSource:
         """The source that was stored."""
         settings, grid = state.settings, state.settings.get("grid")
         thumbnails = {"n_coarse": THUMBNAIL[0] * THUMBNAIL[1]} if grid is None else {}
-        replace(state, sizes=state.sizes | thumbnails).check(_ARRAYS, _SETTINGS)
+        replace(state, sizes=state.sizes | thumbnails).check(_ARRAYS | _HELD_OUT, _SETTINGS)
         arrays = {k: state.arrays[k] for k in _ARRAYS}
         if grid is not None and grid != [state.sizes.get("n_rows", grid[0]), state.sizes.get("n_columns", grid[1])]:
             raise LocalizationError(f"settings.grid is {grid}, another one than that of the network")
@@ -176,7 +202,9 @@ class LandmarkSource:
                 raise LocalizationError(f"array {name} must hold rigid motions")
         mapped = LandmarkMap(camera=PinholeCamera(**settings["camera"]), depth_m=float(settings["depth_m"]), **arrays)
         grid = None if grid is None else tuple(grid)
-        return cls(mapped, state.arrays["frames"], ErrorModel.from_json(settings["errors"]), grid)
+        return cls(
+            mapped, state.arrays["frames"], ErrorModel.from_json(settings["errors"]), grid, state.arrays["held_out"]
+        )
 
 
 def _keyframes(poses_se3: FloatArray, depth_m: float) -> IntArray:
@@ -203,25 +231,29 @@ def _distinct_views(poses_se3: FloatArray, depth_m: float) -> IntArray:
     return np.array(chosen)
 
 
-def _fit_errors(
+def _held_out_errors(
     landmarks: LandmarkMap,
     features: Sequence[LocalFeatures],
     truth: Trajectory,
     groups: Sequence[IntArray],
     left_out: IntArray,
     progress: Progress | None,
-) -> ErrorModel | None:
-    """Fit the error model to frames localised with their piece, stretch or surroundings hidden from the map.
+) -> FloatArray:
+    """Estimates (m, 9) of some keyframes with their piece, stretch or surroundings hidden, see the class above.
 
-    Each of `groups` labels the images (n,): those with the label of a left-out image are hidden with it.
+    `features`, `truth` and each of `groups` are of the last n keyframes, `left_out` of these: those with the label of a
+    left-out keyframe are hidden with it.
     """
     from .mapping import view_overlap  # noqa: PLC0415 - only learning needs it
+
+    n_before = len(landmarks.poses_se3) - len(features)
 
     def estimated(i: int) -> list[tuple[float, ...]]:
         rows: list[tuple[float, ...]] = []
         matches: dict[int, IntArray] = {}
-        overlap = view_overlap(landmarks.poses_se3, i, landmarks.camera, landmarks.depth_m)
-        hidings = [(group == group[i], 1.0) for group in groups]
+        overlap = view_overlap(landmarks.poses_se3, n_before + i, landmarks.camera, landmarks.depth_m)
+        earlier = np.zeros(n_before, dtype=np.bool_)
+        hidings = [(np.concatenate((earlier, group == group[i])), 1.0) for group in groups]
         hidings += [(overlap > share, _HIDDEN_WEIGHT) for share in _HIDDEN_OVERLAPS]
         estimates: dict[bytes, list[PoseMeasurement]] = {}  # pieces may be stretches
         for hidden, weight in hidings:
@@ -236,12 +268,16 @@ def _fit_errors(
         return rows
 
     rows = [row for part in in_threads(estimated, left_out.tolist(), progress) for row in part]
-    if len(rows) < MIN_ESTIMATES:
+    return np.array(rows).reshape(-1, 9)
+
+
+def _fit_errors(held_out: FloatArray, depth_m: float) -> ErrorModel | None:
+    """The error model of estimates (m, 9), see :attr:`LandmarkSource.held_out`; None of too few."""
+    if len(held_out) < MIN_ESTIMATES:
         return None
-    table = np.array(rows)
-    off, sigma_m, angle, sigma_rad, distance, weights = table[:, :6].T
-    errors = HeldOutErrors(off, sigma_m, angle, sigma_rad, distance, table[:, 6:], weights)
-    return fit_error_model(errors, _SAME_PLACE * landmarks.depth_m)
+    off, sigma_m, angle, sigma_rad, distance, weights = held_out[:, :6].T
+    errors = HeldOutErrors(off, sigma_m, angle, sigma_rad, distance, held_out[:, 6:], weights)
+    return fit_error_model(errors, _SAME_PLACE * depth_m)
 
 
 def _support(one: PoseMeasurement) -> tuple[float, float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ from conformodal.geometry.map_poses import (
     MapPoses,
     Matches,
     RigCalibration,
+    Tracks,
     choose_tracks,
     fit_camera,
     inlier_rays,
@@ -61,33 +62,94 @@ def triangulate_frames(
     pairs = _matched(features, _partners(poses_se3, depth_m), matcher, progress)
     mounted = fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
     features = [one.compensate_rolling_shutter(mounted.shutter, camera) for one in features]
-    before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
-    chunks = [range(a, min(a + _FRAMES_AT_A_TIME, len(features))) for a in range(0, len(features), _FRAMES_AT_A_TIME)]
-
-    def sightings(few: range, current: MapPoses) -> InlierRays:
-        rays = _rays(few, pairs, features, current, before, _MAX_TRACKED)
-        return inlier_rays(rays, triangulate(rays, _tolerance(current)), _tolerance(current))
-
-    def landmarks(few: range) -> Points:
-        every = max(len(one.pixels) for one in features)
-        return triangulate(_rays(few, pairs, features, current, before, every), _tolerance(current))
-
+    work = _Triangulation(features, pairs)
     sigmas = np.repeat([SIGMA_RAD, SIGMA_DEPTHS * depth_m], 3)
     current = MapPoses(mounted, poses_se3 @ mounted.T_pose_cam, sigmas)
     for _ in range(ROUNDS):
-        tracks = choose_tracks(in_threads(partial(sightings, current=current), chunks), len(features))
+        tracks = work.tracks(current)
         if len(tracks.frame) < MIN_PER_FRAME * len(features):
             break
         current = current.adjusted(poses_se3, tracks)
-    points = Points(*map(np.concatenate, zip(*in_threads(landmarks, chunks), strict=True)))
-    reliable = _first_of_frames(points.reliable, before)
-    return TriangulatedFrames(
-        mounted=current.mounted,
-        starts=np.concatenate(([0], np.cumsum(reliable)))[before],
-        points_xyz=points.xyz[reliable].astype(np.float32),
-        descriptors=np.concatenate([one.descriptors for one in features])[reliable],
-        corrections=current.corrections(poses_se3),
-    )
+    return work.triangulated(current, poses_se3)
+
+
+class KnownFrames(NamedTuple):
+    """Frames of a map that others are added to."""
+
+    features: Sequence[LocalFeatures]  # of n frames: corners whose landmarks are known
+    poses_se3: FloatArray  # (n, 4, 4) as given
+    poses_cam: FloatArray  # (n, 4, 4) adjusted, ``T_world_cam``
+    mounted: RigCalibration
+    sigmas: FloatArray  # (6,) of given poses, see MapPoses
+
+
+def triangulate_beside(
+    known: KnownFrames,
+    features: Sequence[LocalFeatures],
+    poses_se3: FloatArray,
+    depth_m: float,
+    progress: Progress | None,
+) -> TriangulatedFrames:
+    """Triangulate corners of m more frames with known poses (m, 4, 4), in a map whose poses and camera stay.
+
+    Their corners are sought in frames of the map and in each other.
+    """
+    n, mounted = len(known.features), known.mounted
+    features = [one.compensate_rolling_shutter(mounted.shutter, mounted.camera) for one in features]
+    every = [*known.features, *features]
+    partners = _partners(np.concatenate((known.poses_se3, poses_se3)), depth_m)
+    partners[:n] = [np.empty(0, np.int64)] * n
+    work = _Triangulation(every, _matched(every, partners, Matcher(), progress), first=n)
+    expected = poses_se3 @ mounted.T_pose_cam
+    current = MapPoses(mounted, np.concatenate((known.poses_cam, expected)), known.sigmas)
+    for _ in range(ROUNDS):
+        tracks = work.tracks(current)
+        if len(tracks.frame) < MIN_PER_FRAME * len(features):
+            break
+        current = current.adjusted_beside(n, expected, tracks)
+    return work.triangulated(current, poses_se3)
+
+
+class _Triangulation:
+    """Triangulates the corners of the frames from `first` on, from their matches with all frames."""
+
+    def __init__(
+        self, features: Sequence[LocalFeatures], pairs: Sequence[Sequence[tuple[int, IntArray]]], first: int = 0
+    ) -> None:
+        self._features, self._pairs, self._first = features, pairs, first
+        self._before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
+        starts, n = range(first, len(features), _FRAMES_AT_A_TIME), len(features)
+        self._chunks = [range(a, min(a + _FRAMES_AT_A_TIME, n)) for a in starts]
+
+    def tracks(self, current: MapPoses) -> Tracks:
+        """Tracks that adjust poses."""
+
+        def sightings(few: range) -> InlierRays:
+            rays = self._rays(few, current, _MAX_TRACKED)
+            return inlier_rays(rays, triangulate(rays, _tolerance(current)), _tolerance(current))
+
+        return choose_tracks(in_threads(sightings, self._chunks), len(self._features))
+
+    def triangulated(self, current: MapPoses, poses_se3: FloatArray) -> TriangulatedFrames:
+        """The landmarks of the frames, whose given poses are `poses_se3` (m, 4, 4)."""
+        most = max(len(one.pixels) for one in self._features)
+
+        def landmarks(few: range) -> Points:
+            return triangulate(self._rays(few, current, most), _tolerance(current))
+
+        points = Points(*map(np.concatenate, zip(*in_threads(landmarks, self._chunks), strict=True)))
+        starts = self._before[self._first :] - self._before[self._first]
+        reliable = _first_of_frames(points.reliable, starts)
+        return TriangulatedFrames(
+            mounted=current.mounted,
+            starts=np.concatenate(([0], np.cumsum(reliable)))[starts],
+            points_xyz=points.xyz[reliable].astype(np.float32),
+            descriptors=np.concatenate([one.descriptors for one in self._features[self._first :]])[reliable],
+            corrections=replace(current, poses_cam=current.poses_cam[self._first :]).corrections(poses_se3),
+        )
+
+    def _rays(self, few: range, current: MapPoses, most: int) -> Rays:
+        return _rays(few, self._pairs, self._features, current, self._before, most)
 
 
 def _first_of_frames(reliable: BoolArray, starts: IntArray) -> BoolArray:

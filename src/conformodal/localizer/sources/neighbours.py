@@ -254,6 +254,16 @@ class NeighbourSource:
         least = float(np.quantile(errors.position * novelty**errors.position_growth, 1 - _USUAL))
         return cls(regression.slim(), frames, typical, limit, errors, least)
 
+    def extended(self, data: TrainingData, numbers: IntArray) -> Self:
+        """With all frames of other data, whose `numbers` (n,) among the known frames are larger than the known ones.
+
+        Projection, settings and errors stay as they were learnt.
+        """
+        one = self.regression
+        references = np.concatenate((one.references, one.projection.apply(data.features)))
+        grown = replace(one, references=references, targets=np.concatenate((one.targets, data.targets)))
+        return replace(self, regression=grown, frames=np.concatenate((self.frames, numbers)))
+
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """One estimate per place that the nearest frames come from."""
         if not len(evidence.features):

@@ -1,0 +1,143 @@
+"""Extending a model: each recording is a test first, then calibrates, then joins the map."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from conformodal.conformal import ConformodalError
+from conformodal.corridor import CorridorWorld, Renderer, drone_path, write_flight
+from conformodal.features.extract import FeatureCache
+from conformodal.io import read_recording
+from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.estimator import VisualOdometry
+from conformodal.pipeline.evaluate import RegionStatistics
+from conformodal.pipeline.extend import describe_units, extend_model
+from conformodal.pipeline.guarantee import describe_guarantee
+from conformodal.pipeline.model import PATHS
+from conformodal.pipeline.store import load_model, save_model
+from conformodal.pipeline.train import train_model
+from tests.helpers import refusal, run_ok
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory):
+    """Folders of three flights in one corridor."""
+    world, folders = CorridorWorld(2, seed=5), []
+    for seed in (5, 6, 7):
+        folders.append(tmp_path_factory.mktemp("flights") / f"flight-{seed}")
+        poses = drone_path(world, 1, seed).poses_se3[:150]
+        write_flight(folders[-1] / "seq-01", Renderer(world), poses, noise_seed=seed * 1_000_003)
+    return folders
+
+
+@pytest.fixture(scope="module")
+def recordings(flights):
+    return [read_recording(folder) for folder in flights]
+
+
+@pytest.fixture(scope="module")
+def trained(recordings):
+    config = ModelConfig(sources=("neighbours", "landmarks"), alpha=0.2)
+    return train_model(recordings[0], config, cache=FeatureCache(None))
+
+
+@pytest.fixture(scope="module")
+def extended(trained, recordings):
+    return extend_model(trained, recordings[1:2])
+
+
+def test_a_recording_is_answered_by_the_model_that_has_not_seen_it(trained, recordings, extended):
+    """As a run of the model does, with the same coverage and the same scores."""
+    [entry] = extended.journal
+    run = VisualOdometry(trained).process(recordings[1])
+    truth = recordings[1].require_truth()[run.frames]
+    held = RegionStatistics.of(run.regions, truth, trained.sign_reference).held
+    assert entry.n_frames == len(recordings[1])
+    assert entry.coverage == pytest.approx(held.mean(), abs=0.02)
+    assert entry.reliable == pytest.approx(np.mean([one.reliable for one in run.estimates]), abs=0.05)
+    added = extended.calibration.scores_[trained.n_calibration :]
+    threshold = np.array([trained.rules.thresholds(run.localization.kinds)]).reshape(-1, 7)
+    assert (added <= threshold).all(axis=1).mean() == pytest.approx(held.mean(), abs=0.02)
+
+
+def test_its_scores_calibrate_in_stretches_as_long_as_the_others(trained, extended, recordings):
+    n = len(recordings[1])
+    units, before = extended.calibration.units_, trained.calibration.units_
+    np.testing.assert_array_equal(units[: len(before)], before)
+    labels, sizes = np.unique(units[len(before) :], return_counts=True)
+    assert sizes.sum() == n
+    assert labels.min() > before.max()
+    usual = np.median(np.unique(before, return_counts=True)[1])
+    assert abs(np.median(sizes) - usual) <= 1
+    [entry] = extended.journal
+    assert (entry.first_unit, entry.n_units) == (labels[0], len(labels))
+    for path in PATHS:
+        rule, old = extended.path_rules[path].calibration, trained.path_rules[path].calibration
+        np.testing.assert_array_equal(rule.scores_[: len(old.scores_)], old.scores_)
+        assert len(old.scores_) < len(rule.scores_) <= len(old.scores_) + n
+        assert set(rule.units_[len(old.scores_) :]) <= set(labels)
+
+
+def test_then_it_is_known(trained, extended, recordings):
+    numbers = np.arange(len(trained.known_frames), len(extended.known_frames))
+    assert len(numbers) == len(recordings[1])
+    for source, before in zip(extended.localizer.sources, trained.localizer.sources, strict=True):
+        np.testing.assert_array_equal(source.frames, np.concatenate((before.frames, numbers)))
+    np.testing.assert_array_equal(extended.split.test, trained.split.test)
+    assert set(numbers) <= set(extended.split.calibration)
+    again = VisualOdometry(extended).process(recordings[1])
+    before = VisualOdometry(trained).process(recordings[1])
+    truth = recordings[1].require_truth()[again.frames].positions_xyz
+    errors = [np.linalg.norm(run.trajectories["online"].positions_xyz - truth, axis=1) for run in (again, before)]
+    assert np.median(errors[0]) < np.median(errors[1])
+
+
+def test_an_extended_model_is_stored(extended, recordings, tmp_path):
+    save_model(extended, tmp_path)
+    loaded = load_model(tmp_path)
+    assert loaded.journal == extended.journal
+    assert extended.journal[0].describe() in run_ok("info", tmp_path).output
+    run, other = (VisualOdometry(one).process(recordings[2], np.arange(12)) for one in (loaded, extended))
+    np.testing.assert_array_equal(run.trajectories["online"].positions_xyz, other.trajectories["online"].positions_xyz)
+
+
+def test_the_guarantee_says_what_is_assumed(trained, extended):
+    assert "exchangeable in the order in which they came" in describe_guarantee(extended)
+    assert "joined after training" not in describe_guarantee(trained)
+    assert describe_units(extended).startswith("Stretches calibrate")
+
+
+def test_a_recording_is_refused_twice(extended, recordings):
+    with pytest.raises(ConformodalError, match=r"flight-6.*images are in the model already"):
+        extend_model(extended, recordings[1:2])
+
+
+def test_what_cannot_extend_a_model_is_refused(trained, recordings):
+    one = recordings[1]
+    with pytest.raises(ConformodalError, match="frames without a pose"):
+        extend_model(trained, [replace(one, poses=None)])
+    other = replace(one, camera=replace(one.camera, fx=2 * one.camera.fx))
+    with pytest.raises(ConformodalError, match="is from another camera"):
+        extend_model(trained, [other])
+    away = replace(one.poses, positions_xyz=one.poses.positions_xyz + 1000)
+    with pytest.raises(ConformodalError, match="far beyond those of the model"):
+        extend_model(trained, [replace(one, poses=away)])
+    with pytest.raises(ConformodalError, match="lengths in units"):
+        extend_model(trained, [replace(one, unit="units")])
+
+
+def test_the_command_tests_then_teaches(trained, flights, tmp_path):
+    save_model(trained, tmp_path / "model")
+    cache = "--cache", tmp_path / "cache"
+    result = run_ok("extend", tmp_path / "model", *flights[1:], "--out", tmp_path / "grown", *cache)
+    assert result.output.count("before it joined: regions held") == 2
+    grown = load_model(tmp_path / "grown")
+    assert [entry.n_frames for entry in grown.journal] == [len(read_recording(folder)) for folder in flights[1:]]
+    told = refusal("extend", tmp_path / "model", flights[1], "--out", tmp_path / "grown", *cache)
+    assert "holds a model already" in told
+    told = refusal("extend", tmp_path / "grown", flights[2], "--out", tmp_path / "more", *cache)
+    assert "are in the model already" in told
+    assert not (tmp_path / "more" / "model.json").exists()

@@ -1,0 +1,58 @@
+"""When whole recordings take the place of stretches in the calibration of an extended model."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from conformodal.pipeline.extend import calibrate_by_recordings, describe_units, n_recordings_needed
+from conformodal.pipeline.guarantee import short_guarantee
+from conformodal.pipeline.model import JournalEntry
+from conformodal.pipeline.store import load_model, save_model
+from tests.small_model import small_model
+
+
+def grown(alpha):
+    """A model whose last 15 of 20 stretches, of three frames each, are of three recordings that joined."""
+    model = small_model()
+    model.recalibrate(alpha)
+    numbers = {"coverage": 0.9, "bounded": 1.0, "reliable": 0.5, "median_m": 0.1}
+    numbers |= {"path_coverage": None, "path_bounded": None}
+    entries = [
+        JournalEntry(name=f"day {k}", date="2026-01-01", n_frames=15, first_unit=5 + 5 * k, n_units=5, **numbers)
+        for k in range(3)
+    ]
+    return replace(model, journal=tuple(entries))
+
+
+def test_enough_recordings_are_those_of_a_finite_threshold():
+    assert [n_recordings_needed(grown(alpha)) for alpha in (0.5, 0.2, 0.1, 0.05)] == [1, 4, 9, 19]
+
+
+@pytest.mark.parametrize("alpha", [0.2, 0.3])
+def test_stretches_stay_where_recordings_are_too_few_or_regions_would_become_unbounded(alpha):
+    """At 0.3 three recordings are enough, but not for the half of the frames in which a place was recognised."""
+    model = grown(alpha)
+    assert (n_recordings_needed(model) <= 3) == (alpha == 0.3)
+    assert calibrate_by_recordings(model) is model
+    assert describe_units(model).startswith("Stretches calibrate: 20, those of 3 recordings")
+
+
+def test_recordings_calibrate_without_the_stretches_of_the_training(tmp_path):
+    before = grown(0.6)
+    after = calibrate_by_recordings(before)
+    assert after is not before
+    np.testing.assert_array_equal(after.calibration.units_, np.repeat([5, 6, 7], 15))
+    np.testing.assert_array_equal(after.calibration.scores_, before.calibration.scores_[15:])
+    np.testing.assert_array_equal(after.rules.known_p, before.rules.known_p[15:])
+    for path, rule in after.path_rules.items():
+        np.testing.assert_array_equal(rule.calibration.scores_, before.path_rules[path].calibration.scores_[15:])
+        assert set(rule.calibration.unit_sizes_) == {15}
+    assert after.novelty.matched.n_units == 3
+    assert len(after.novelty.test.references) == len(before.novelty.test.references)
+    assert "new recording" in short_guarantee(after)
+    assert describe_units(after).startswith("Whole recordings calibrate: 3")
+    save_model(after, tmp_path)
+    loaded = load_model(tmp_path)
+    np.testing.assert_allclose(loaded.calibration.thresholds_, after.calibration.thresholds_)
+    assert calibrate_by_recordings(loaded) is loaded
