@@ -16,11 +16,10 @@ from functools import partial
 from itertools import permutations
 from typing import Any, NamedTuple
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import cv2
 import numpy as np
-import torch
 from common import DATA, RUNS, cached_json, parser_with_seeds, table_lines, write_page
 from scipy.spatial import KDTree
 
@@ -209,7 +208,6 @@ def main() -> None:
     parser.add_argument("--orders", type=int, default=6, help="of the recordings")
     parser.add_argument("--simulated", type=int, default=1000, help="orders of simulated recordings")
     options = parser.parse_args()
-    torch.set_num_threads(1)
     cv2.setNumThreads(1)
     seed = options.seeds[0]
     table = simulation_table(options.simulated, seed)
