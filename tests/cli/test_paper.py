@@ -64,7 +64,7 @@ def test_the_demo_compares_with_a_regressor(out):
     assert metrics["ambiguity"]["n_places"] > 0
     answer = read_tum(out / "trajectory.tum")
     assert len(answer) == len(read_tum(out / "methods" / "classical.tum")) == metrics["n_answered"]
-    laps = read_recording(out / "corridor" / "seed-3").recording
+    laps = read_recording(out / "corridor" / "laps-seed-3").recording
     assert np.bincount(laps).tolist() == [metrics["n_answered"]] * demo.N_LAPS
     assert set(metrics["path_coverage"]) >= {"online", "hindsight"}
     assert "classical regressor" in (out / "report.html").read_text()

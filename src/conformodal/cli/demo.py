@@ -44,7 +44,7 @@ def demo(
     started, features, training = time.perf_counter(), FeatureCache(out / "cache"), TrainingConfig(seed=seed)
     config = ModelConfig(split=SplitKind.RECORDINGS, test=1 / N_LAPS, seed=seed, training=training)
     with lock_output(out, "demo"), progress_bars(out) as report:
-        sequence = _corridor(out / "corridor" / f"seed-{seed}", seed, report)
+        sequence = _corridor(out / "corridor" / f"laps-seed-{seed}", seed, report)
         data = prepare_training_data(sequence, config, features, report)
         model = train_on(data, config, out / "model", report)
         answered: dict[int, PoseRegions] = {}
@@ -94,7 +94,7 @@ def demo(
 
 def _corridor(folder: Path, seed: int, report: StageProgress) -> Recording:
     """The laps of a seed; those that are there are not flown again."""
-    if not (folder / f"seq-{N_LAPS:02d}").is_dir():
-        progress = stage_of(report, "corridor")
+    progress = stage_of(report, "corridor")
+    return read_recording(
         write_laps(folder, n_modules=N_MODULES, n_laps=N_LAPS, seed=seed, speed=SPEED, progress=progress)
-    return read_recording(folder)
+    )

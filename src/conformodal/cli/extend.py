@@ -41,8 +41,10 @@ def extend(
     with lock_output(out, "extend", apart=[*new, model]):
         features = FeatureCache(cache_folder(cache))
         recordings = [open_sequences([path], layout, trust_poses=trust_poses) for path in new]
-        for recording in recordings:
-            check_extension(before, recording)
+        checked = [check_extension(before, recording) for recording in recordings]
+        for k, (recording, frames) in enumerate(zip(recordings, checked, strict=True)):
+            if n := sum(int(earlier.known(frames).sum()) for earlier in checked[:k]):
+                raise OdometryError(f"{recording.name}: {n} of its images are in a recording before it")
         with progress_bars(out) as report:
             after = extend_model(before, recordings, cache=features, progress=report)
         save_model(after, out)

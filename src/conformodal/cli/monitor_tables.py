@@ -16,6 +16,7 @@ from conformodal.core.words import counted
 
 from .console import report_line, warning_lines
 from .monitored import MonitoredScores, named_few
+from .table import check_targets, total_rows
 from .table_csv import CsvFormat, TableError, read_table
 
 
@@ -59,14 +60,23 @@ class _ScoredRows:
 
 def _scored_rows(reg: ConformalRegressor, file: Path, unit: str | None, sep: str | None) -> _ScoredRows:
     how = getattr(reg, "file_format_", {})
-    frame, _ = read_table(file, CsvFormat("\t" if sep == r"\t" else sep, **how.get("csv", {})))
     targets, label = list(reg.bins_.names or ()), unit if unit is not None else reg.group_column_
+    written = dict(how.get("csv", {}))
+    if "units" in how:
+        written["units"] = {name: how["units"].get(name, "") for name in [*reg.columns_, *targets]}
+    frame, notes = read_table(file, CsvFormat("\t" if sep == r"\t" else sep, **written))
+    for note in notes:
+        report_line(note)
     needed = [*targets, *([] if label is None else [label])]
     for name in needed:
         if name not in frame:
             raise TableError(f"{file}: has no column {name!r}, which is needed to score rows")
-        if name in targets and frame[name].dtype.kind not in "fi":
-            raise TableError(f"{file}: column {name!r} must hold numbers, got {str(frame[name].iloc[0])!r}")
+    check_targets(frame, targets, str(file))
+    totals = total_rows(frame)
+    if totals.any():
+        lines = named_few([str(line) for line in frame.index[totals]])
+        report_line(f"{file}: left out: {counted(int(totals.sum()), 'row')} with totals of the others (lines {lines})")
+        frame = frame[~totals]
     whole = frame[needed].notna().all(axis=1)
     if not whole.any():
         raise TableError(f"{file}: no row has all of {', '.join(needed)}")

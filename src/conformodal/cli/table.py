@@ -226,7 +226,7 @@ def choose_columns(
             raise TableError(f"{file}: has no column {name!r}{hint}; it has {', '.join(map(repr, frame.columns))}")
         if [*needed, *excluded].count(name) > 1:
             raise TableError(f"{file}: column {name!r} can only be one of target, group and excluded")
-    _check_targets(frame, targets, file)
+    check_targets(frame, targets, file)
     totals = total_rows(frame)
     whole = frame[needed].notna().all(axis=1) & ~totals
     gaps, used, left_out, rows = np.flatnonzero(~whole & ~totals), list[str](), [], frame[whole]
@@ -257,7 +257,7 @@ def choose_columns(
     return inputs, rows[targets], lines
 
 
-def _check_targets(frame: pd.DataFrame, targets: list[str], file: str) -> None:
+def check_targets(frame: pd.DataFrame, targets: list[str], file: str) -> None:
     """Refuse targets that hold other than numbers, or numbers that are not clear."""
     unfit = frame.attrs.get("format", {}).get("unfit", {})
     for name in targets:

@@ -140,7 +140,9 @@ def write_laps(
     for lap, poses in enumerate(laps):
         report = None if progress is None else partial(_report, progress, done, total)
         noise_seed = ((seed + 1) * 1_000 + lap) * 1_000_003
-        write_flight(folder / f"seq-{lap + 1:02d}", renderer, poses, noise_seed=noise_seed, progress=report)
+        recording = folder / f"seq-{lap + 1:02d}"
+        if not recording.is_dir():  # flown before
+            write_flight(recording, renderer, poses, noise_seed=noise_seed, progress=report)
         done += len(poses)
     return folder
 

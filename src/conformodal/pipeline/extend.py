@@ -90,6 +90,8 @@ def check_extension(model: PoseModel, recording: Recording) -> FrameIdentities:
         raise OdometryError("the model was trained with the paper's method, which cannot be extended")
     if not model.follows_streams:
         raise OdometryError("random frames calibrate the model; train with --split blocks or recordings to extend it")
+    if (n := len(np.unique(recording.recording))) > 1:
+        raise OdometryError(f"{name}: holds {n} recordings; give the folder of each, in the order in which they came")
     if recording.truth is None:
         n_without = len(recording) - len(recording.posed)
         raise OdometryError(f"{name}: {counted(n_without, 'frame')} without a pose; a recording needs one for each")
@@ -200,7 +202,10 @@ def _answered(
     odometry, estimates, report = _Replay(model, data, motions), list[Estimate](), stage_of(progress, "test")
     for i, time_s in enumerate(data.sequence.timestamps_s.tolist()):
         raise_if_cancelled()
-        estimates.append(odometry.step(data.sequence.image(i), time_s))
+        try:
+            estimates.append(odometry.step(data.sequence.image(i), time_s))
+        except OdometryError as exc:
+            raise OdometryError(f"{data.sequence.name}: {exc}") from None
         if report is not None:
             report(i + 1, len(data.sequence))
     return estimates
@@ -368,11 +373,16 @@ def describe_units(model: PoseModel) -> str:
     )
 
 
+def _is_bounded(rule: SplitConformal) -> bool:
+    return bool(np.isfinite(rule.thresholds_).all())
+
+
 def calibrate_by_recordings(model: PoseModel) -> PoseModel:
     """The model calibrated on whole recordings, once enough have joined; else as it is.
 
     Each was answered by a map that had not seen it. Stretches of the training recordings were answered by maps that had
-    seen their neighbours, and no longer calibrate. No evidence type loses its bounded regions.
+    seen their neighbours, and no longer calibrate, but for disturbed images, of which there are copies of those alone.
+    Neither an evidence type nor a path loses its bounded regions.
     """
     if model.configuration.get("whole_recordings") or len(model.journal) < n_recordings_needed(model):
         return model
@@ -392,8 +402,8 @@ def calibrate_by_recordings(model: PoseModel) -> PoseModel:
         known_p=rules.known_p[later],
         rooms=None if rules.rooms is None else rules.rooms[later],
     )
-    bounded = {kind for kind, rule in rules.by_type.items() if np.isfinite(rule.thresholds_).all()}
-    if not all(np.isfinite(by_recording.by_type[kind].thresholds_).all() for kind in bounded):
+    bounded = [kind for kind, rule in rules.by_type.items() if _is_bounded(rule)]
+    if not all(_is_bounded(by_recording.by_type[kind]) for kind in bounded):
         return model
     sizes = np.array([entry.n_frames for entry in model.journal])
     path_rules = {}
@@ -408,6 +418,8 @@ def calibrate_by_recordings(model: PoseModel) -> PoseModel:
         path_rules[path] = replace(
             rule, calibration=calibration, rooms=None if rule.rooms is None else rule.rooms[rows]
         )
+        if _is_bounded(rule.calibration) and not _is_bounded(calibration):
+            return model
     novelty = model.novelty
     if novelty is not None:
         units = novelty.test.units_

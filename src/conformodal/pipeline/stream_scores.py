@@ -12,6 +12,7 @@ from conformodal.io.streams.frames import Frame
 from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.regions import PoseRegions
 
+from .config import Method
 from .estimates import Estimate
 from .evaluate import RegionStatistics, path_coverage_table
 from .model import HINDSIGHT, ONLINE, PoseModel
@@ -60,9 +61,11 @@ class StreamScores:
     def score(self, estimate: Estimate, truth: Trajectory) -> float | None:
         """The nonconformity score of a frame's true pose, the largest of those that calibrate; None without a belief.
 
-        Positions alone have none.
+        Positions alone have none, nor has the paper's method, which calibrates each target by itself.
         """
-        if estimate.localization is None or not np.isfinite(truth.orientations_quat_wxyz).all():
+        if estimate.localization is None or self._model.method is Method.PAPER:
+            return None
+        if not np.isfinite(truth.orientations_quat_wxyz).all():
             return None
         targets = pose_targets(truth, self._model.sign_reference)
         scores = self._model.scores(estimate.localization.beliefs, targets)
