@@ -151,3 +151,42 @@ def test_runs_of_another_model_or_given_twice_are_refused(model_folder, tmp_path
     (run / METRICS).write_text(json.dumps({**metrics, "model": "another"}))
     assert "is not a run of the model" in refusal("monitor", model_folder, run)
     assert (run / REGIONS).is_file()
+
+
+def with_model_of(tmp_path, text):
+    """A regressor that `table fit` made of a file."""
+    file, model = tmp_path / "fit.csv", tmp_path / "model.skops"
+    file.write_text(text)
+    run_ok("table", "fit", file, "--target", "price", "--model", model)
+    return model
+
+
+def rows_in(unit, n=400, seed=30):
+    rng = np.random.default_rng(seed)
+    weight = rng.uniform(1, 9, n)
+    price = 10 * weight + rng.normal(0, 1, n)
+    cells = zip(weight.round(3), price.round(2), strict=True)
+    return "weight,price\n" + "".join(f"{w} {unit},{p}\n" for w, p in cells)
+
+
+@pytest.mark.slow
+def test_rows_are_read_as_the_regressor_expects_them(tmp_path):
+    model, file = with_model_of(tmp_path, rows_in("kg")), tmp_path / "new.csv"
+    file.write_text(rows_in("g", 30, 31))
+    assert "'g'" in refusal("monitor", model, file)
+    file.write_text(rows_in("kg", 30, 31).replace(",5", ",<5", 1))
+    assert "target 'price'" in refusal("monitor", model, file)
+    file.write_text(rows_in("kg", 30, 31))
+    assert json.loads(run_ok("monitor", model, file, "--json").stdout)["n_new"] == 30
+
+
+@pytest.mark.slow
+def test_rows_of_totals_are_left_out(tmp_path):
+    rng = np.random.default_rng(3)
+    named = [f"shop {i},{x:.3f},{10 * x + rng.normal():.2f}\n" for i, x in enumerate(rng.uniform(1, 9, 460))]
+    model = with_model_of(tmp_path, "shop,weight,price\n" + "".join(named[:400]))
+    file = tmp_path / "new.csv"
+    file.write_text("shop,weight,price\n" + "".join(named[400:]) + "Total,300,3000\n")
+    result = run_ok("monitor", model, file, "--json")
+    assert json.loads(result.stdout)["n_new"] == 60
+    assert "1 row with totals of the others" in result.output

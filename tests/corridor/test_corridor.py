@@ -98,3 +98,12 @@ def test_a_faster_flight_has_fewer_frames_of_the_same_way():
     slow, fast = (drone_path(CorridorWorld(2), 1, speed=speed).positions_xyz for speed in (1.0, 2.0))
     assert len(fast) == pytest.approx(len(slow) / 2, abs=1)
     np.testing.assert_allclose(fast.max(axis=0), slow.max(axis=0), atol=0.4)
+
+
+def test_laps_that_are_there_are_not_flown_again(tmp_path):
+    write_laps(tmp_path, n_modules=2, n_laps=1, seed=5, speed=8.0)
+    first = sorted((tmp_path / "seq-01").iterdir())[0]
+    written = first.stat().st_mtime_ns
+    write_laps(tmp_path, n_modules=2, n_laps=2, seed=5, speed=8.0)
+    assert first.stat().st_mtime_ns == written
+    assert len(np.unique(read_recording(tmp_path).recording)) == 2

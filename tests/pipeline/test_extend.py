@@ -9,6 +9,7 @@ from conformodal.conformal import ConformodalError
 from conformodal.corridor import CorridorWorld, Renderer, drone_path, write_flight
 from conformodal.features.extract import FeatureCache
 from conformodal.io import read_recording
+from conformodal.io.recording import join_recordings
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.evaluate import RegionStatistics
@@ -141,3 +142,8 @@ def test_the_command_tests_then_teaches(trained, flights, tmp_path):
     told = refusal("extend", tmp_path / "grown", flights[2], "--out", tmp_path / "more", *cache)
     assert "are in the model already" in told
     assert not (tmp_path / "more" / "model.json").exists()
+
+
+def test_a_folder_of_several_recordings_is_refused(trained, recordings):
+    with pytest.raises(ConformodalError, match="holds 2 recordings; give the folder of each"):
+        extend_model(trained, [join_recordings(recordings[1:])])

@@ -1,5 +1,6 @@
 """When whole recordings take the place of stretches in the calibration of an extended model."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -56,3 +57,17 @@ def test_recordings_calibrate_without_the_stretches_of_the_training(tmp_path):
     loaded = load_model(tmp_path)
     np.testing.assert_allclose(loaded.calibration.thresholds_, after.calibration.thresholds_)
     assert calibrate_by_recordings(loaded) is loaded
+
+
+def test_stretches_stay_where_a_path_would_lose_its_bounded_regions():
+    before = grown(0.6)
+    paths = {}
+    for path, rule in before.path_rules.items():
+        calibration = copy(rule.calibration)
+        rows = np.flatnonzero(calibration.units_ < 6)  # of the later recordings, three frames were found
+        scores, units, sizes = (getattr(calibration, name)[rows] for name in ("scores_", "units_", "unit_sizes_"))
+        calibration.calibrate_scores(scores, units, sizes)
+        paths[path] = replace(rule, calibration=calibration, rooms=None if rule.rooms is None else rule.rooms[rows])
+    model = replace(before, path_rules=paths)
+    assert all(np.isfinite(rule.calibration.thresholds_).all() for rule in model.path_rules.values())
+    assert calibrate_by_recordings(model) is model
