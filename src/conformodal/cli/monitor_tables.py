@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pandas as pd
 
 from conformodal.conformal import ConformalRegressor, DataWarning, unit_scores
 from conformodal.conformal.tables import as_inputs
+from conformodal.core.arrays import FloatArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.words import counted
 
@@ -51,11 +53,13 @@ def scores_of_tables(model: Path, files: Sequence[Path], unit: str | None, sep: 
     )
 
 
+@dataclass(frozen=True, eq=False)
 class _ScoredRows:
-    """Scores (n, c) of the rows of a file, their names, and labels of units or groups."""
+    """The rows of a file."""
 
-    def __init__(self, scores: Any, names: list[str], labels: list[Any]) -> None:
-        self.scores, self.names, self.labels = scores, names, labels
+    scores: FloatArray  # (n, c)
+    names: list[str]
+    labels: list[Any]  # of units or groups
 
 
 def _scored_rows(reg: ConformalRegressor, file: Path, unit: str | None, sep: str | None) -> _ScoredRows:

@@ -145,19 +145,7 @@ class MapPoses:
         """Poses and camera after bundle adjustment, and mount and sigmas learnt from how far poses moved."""
         camera = self.mounted.camera
         priors = PosePriors(poses_se3 @ self.mounted.T_pose_cam, self.sigmas)
-        order = np.argsort(tracks.frame, kind="stable")
-        adjustment = Adjustment(
-            ObservedCorners(tracks.frame[order], tracks.point[order], tracks.plane[order]),
-            sigma=2 / (camera.fx + camera.fy),
-            cauchy=1.0,
-            unknown=POSITIONS,
-            iterations=_ITERATIONS,
-            enough=_ENOUGH,
-            priors=priors,
-            focal_sigma=_SIGMA_ADJUSTED_FOCAL,
-        )
-        points = np.column_stack((tracks.points, np.ones(len(tracks.points))))
-        bundle = adjustment.solve(Bundle(self.poses_cam[:, :3, :3], self.poses_cam[:, :3, 3], points)).bundle
+        bundle = self._bundle(tracks, priors, _SIGMA_ADJUSTED_FOCAL)
         poses_cam = rigid_motions(bundle.R_world_cam, bundle.centres)
         factor, relative = float(np.exp(bundle.log_focal)), np.linalg.inv(poses_se3) @ poses_cam
         mean = Rotation.from_matrix(relative[:, :3, :3]).mean().as_matrix()
@@ -175,12 +163,18 @@ class MapPoses:
 
         `expected` (m, 4, 4) are the given ``T_world_cam`` of the others, near which the sigmas hold them.
         """
-        camera, known = self.mounted.camera, self.poses_cam[:n_known]
+        known = self.poses_cam[:n_known]
         priors = PosePriors(
             np.concatenate((known, expected)),
             np.concatenate((np.full((n_known, 6), _SIGMA_KNOWN), np.tile(self.sigmas, (len(expected), 1)))),
         )
-        order = np.argsort(tracks.frame, kind="stable")
+        bundle = self._bundle(tracks, priors)
+        adjusted = rigid_motions(bundle.R_world_cam, bundle.centres)[n_known:]
+        return replace(self, poses_cam=np.concatenate((known, adjusted)))
+
+    def _bundle(self, tracks: Tracks, priors: PosePriors, focal_sigma: float = Adjustment.focal_sigma) -> Bundle:
+        """Poses and points after bundle adjustment, and the focal length where its sigma is given."""
+        camera, order = self.mounted.camera, np.argsort(tracks.frame, kind="stable")
         adjustment = Adjustment(
             ObservedCorners(tracks.frame[order], tracks.point[order], tracks.plane[order]),
             sigma=2 / (camera.fx + camera.fy),
@@ -189,12 +183,10 @@ class MapPoses:
             iterations=_ITERATIONS,
             enough=_ENOUGH,
             priors=priors,
+            focal_sigma=focal_sigma,
         )
         points = np.column_stack((tracks.points, np.ones(len(tracks.points))))
-        start = Bundle(self.poses_cam[:, :3, :3], self.poses_cam[:, :3, 3], points)
-        bundle = adjustment.solve(start).bundle
-        moved = rigid_motions(bundle.R_world_cam, bundle.centres)[n_known:]
-        return replace(self, poses_cam=np.concatenate((known, moved)))
+        return adjustment.solve(Bundle(self.poses_cam[:, :3, :3], self.poses_cam[:, :3, 3], points)).bundle
 
     def corrections(self, poses_se3: FloatArray) -> FloatArray:
         """Differences (n, 6) from the given poses, in the given frame: metres and a rotation vector, world."""
