@@ -124,7 +124,7 @@ def fit(
             ranges = " or ".join(f"{readable(low)} to {readable(high)}" for low, high in parts) or "no value"
             true = y[name].iloc[test[row]]
             report_line(f"line {X.index[test[row]]}, {name}: {ranges} (true: {readable(true)})")
-    report_line(f"rows with several intervals: {several.mean():.0%}")
+    report_line(f"rows with several intervals: {several.sum()} of {len(test)}")
     about = f"rows of any new {unit}" if unit else "rows drawn at random"
     if split is RowSplit.TIME:
         about = "the last rows, calibrated on those before; no split guarantees that of later ones"
