@@ -27,7 +27,7 @@ from conformodal.conformal import conformal_quantile, conformal_rank, hierarchic
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.features.extract import FeatureCache
 from conformodal.io import DatasetWarning, Recording, read_recording
-from conformodal.localizer.candidates import pose_targets
+from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.extend import extend_model

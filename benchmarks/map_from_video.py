@@ -24,7 +24,7 @@ from conformodal.corridor import write_corridor
 from conformodal.geometry import Trajectory, poses_at
 from conformodal.geometry.metrics import Similarity, umeyama
 from conformodal.io import Recording, read_recording
-from conformodal.localizer.candidates import pose_targets
+from conformodal.localizer.targets import pose_targets
 from conformodal.mapping import MapError, build_map
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import odometry_of

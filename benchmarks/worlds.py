@@ -18,8 +18,8 @@ from conformodal.features.settings import TrainingConfig
 from conformodal.geometry import Trajectory
 from conformodal.io import Recording, read_recording
 from conformodal.io.recording import join_recordings
-from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.observations import same_place
+from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.estimator import odometry_of
@@ -157,7 +157,7 @@ def frame_by_frame(lab: Laboratory, run: OdometryRun) -> dict[str, dict[str, lis
     """Errors and regions of every frame, by what they rest on; an unbounded region has length -1."""
     truth = lab.truth(run)
     targets = pose_targets(truth, run.model.sign_reference)
-    alone = np.array([e.candidates.positions_xyz[np.argmax(e.candidates.log_mass)] for e in run.estimates])
+    alone = np.array([e.candidates.positions_xyz[np.argmax(e.candidates.log_weights)] for e in run.estimates])
     positions = {"image alone": alone, **{name: path.positions_xyz for name, path in run.trajectories.items()}}
     by_name: dict[str, dict[str, list[float]]] = {}
     for name, regions in {"image alone": run.regions, **run.path_regions}.items():
@@ -182,9 +182,9 @@ def squared_errors(run: OdometryRun, truth: Trajectory) -> list[float]:
     squared = []
     for estimate, xyz, quat in zip(run.estimates, truth.positions_xyz, truth.orientations_quat_wxyz, strict=True):
         assert estimate.pose is not None
-        turned = Rotation.from_quat(estimate.pose.orientations_quat_wxyz[0], scalar_first=True)
+        turned = Rotation.from_quat(estimate.pose.orientation_quat_wxyz, scalar_first=True)
         turn = (Rotation.from_quat(quat, scalar_first=True) * turned.inv()).as_rotvec()
-        off = np.concatenate((xyz - estimate.pose.positions_xyz[0], turn))
+        off = np.concatenate((xyz - estimate.pose.position_xyz, turn))
         squared.append(float(off @ np.linalg.solve(estimate.covariance, off)))
     return squared
 

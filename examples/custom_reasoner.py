@@ -3,6 +3,7 @@
 python examples/custom_reasoner.py
 """
 
+from itertools import pairwise
 from tempfile import TemporaryDirectory
 
 import numpy as np
@@ -19,12 +20,13 @@ from conformodal.pipeline.train import train_model
 
 def nearest(seen: Observations) -> Trajectory:
     """A reasoner is a function from observations to a path."""
-    path = [seen.candidates[0].take(np.array([0]))]  # the most probable one
-    for here in seen.candidates[1:]:
-        apart = np.linalg.norm(here.positions_xyz - path[-1].positions_xyz, axis=1)
-        path.append(here.take(np.array([np.argmin(apart)])))
-    places, quats = [pose.positions_xyz for pose in path], [pose.orientations_quat_wxyz for pose in path]
-    return Trajectory(seen.timestamps_s, np.concatenate(places), np.concatenate(quats))
+    chosen = [0]  # the most probable one
+    for before, here in pairwise(seen.candidates):
+        apart = np.linalg.norm(here.positions_xyz - before.positions_xyz[chosen[-1]], axis=1)
+        chosen.append(int(np.argmin(apart)))
+    places = [here.positions_xyz[k] for here, k in zip(seen.candidates, chosen, strict=True)]
+    quats = [here.orientations_quat_wxyz[k] for here, k in zip(seen.candidates, chosen, strict=True)]
+    return Trajectory(seen.timestamps_s, np.array(places), np.array(quats))
 
 
 if __name__ == "__main__":

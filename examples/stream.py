@@ -32,7 +32,7 @@ def follow(model: PoseModel, source: Path | str, most: int | None = None) -> Non
         if estimate.pose is None:
             print(f"{frame.name}: no answer: {estimate.problem}")
         else:
-            x, y, z = estimate.pose.positions_xyz[0]
+            x, y, z = estimate.pose.position_xyz
             region = " or ".join(f"{low:.2f} to {high:.2f}" for low, high in estimate.region.intervals(0)[0])
             print(f"{frame.name}: x {x:.2f}  y {y:.2f}  z {z:.2f} m; region in x: {region} m  {estimate.problem}")
         if number == most:

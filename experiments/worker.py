@@ -18,10 +18,12 @@ from conformodal.core.arrays import FloatArray, rows_by_label
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.geometry import Trajectory, concatenate, normalise_quat
 from conformodal.io import PixelNoise, Recording
-from conformodal.localizer.candidates import Candidates, Probabilities, fuse, interval_runs, pose_targets
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import hindsight_posteriors
-from conformodal.localizer.observations import PosePath
+from conformodal.localizer.fusion import fuse
+from conformodal.localizer.mixtures import PoseMixture
+from conformodal.localizer.modes import Probabilities, interval_runs
+from conformodal.localizer.targets import pose_targets
 from conformodal.localizer.training_data import TrainingData
 from conformodal.pipeline.config import Method
 from conformodal.pipeline.estimates import OdometryRun
@@ -32,7 +34,7 @@ from conformodal.pipeline.paper import Greedy
 from conformodal.pipeline.plain import PlainRegressor, train_plain, trajectory_of
 from conformodal.pipeline.provenance import provenance
 from conformodal.pipeline.results import ResultsWriter, record_of
-from conformodal.pipeline.stream import as_trajectory, whole_paths
+from conformodal.pipeline.stream import whole_paths
 from conformodal.pipeline.train import prepare_training_data, train_model
 
 from .baselines import BASELINES, Baseline, RegressionTask
@@ -158,15 +160,13 @@ def add_trajectories(
         greedily = []
         for at in pieces:
             path = Greedy()
-            greedily += [path.push(intervals[t], run.estimates[t].relative_motion, float(times[t])) for t in at]
-        found["greedy"] = as_trajectory(PosePath.concatenate(greedily))
+            greedily += [path.push(intervals[t], run.estimates[t].relative_motion).at(float(times[t])) for t in at]
+        found["greedy"] = concatenate(greedily)
         found["tuned_smoothed"] = tuned.smoothed(features, run, recording, model.prior)
         for name, baseline in trained.baselines.items():
             found[name] = trajectory_of(baseline.predict(features), times)
-        single = [
-            fuse(own, [its]).candidates for own, its in zip(_as_candidates(tuned, features), estimates, strict=True)
-        ]
-        choices = {"no_landmarks": [mixture.candidates for mixture in alone.mixtures], "tuned_landmarks": single}
+        single = [fuse(own, [its]) for own, its in zip(_as_mixtures(tuned, features), estimates, strict=True)]
+        choices = {"no_landmarks": alone.mixtures, "tuned_landmarks": single}
         for name, candidates in choices.items():
             seen = (replace(run.observations(at), candidates=[candidates[t] for t in at]) for at in pieces)
             found[name] = concatenate(
@@ -189,11 +189,11 @@ def softmax_mean(proba: Probabilities, bins: QuantileBins) -> FloatArray:
     return np.column_stack([np.interp(at, np.arange(len(e)), e) for at, e in zip(means, bins.edges_, strict=True)])
 
 
-def _as_candidates(tuned: TunedRegressor, features: npt.NDArray[np.float32]) -> list[Candidates]:
-    """Predictions of the tuned regressor as candidates, one per frame."""
+def _as_mixtures(tuned: TunedRegressor, features: npt.NDArray[np.float32]) -> list[PoseMixture]:
+    """Predictions of the tuned regressor as mixtures of one hypothesis, one per frame."""
     spread, angle = tuned.spread_m[None], np.array([tuned.spread_rad])
     return [
-        Candidates(v[None, :3], spread, normalise_quat(v[None, 3:]), angle, np.zeros(1))
+        PoseMixture.weighted(v[None, :3], spread, normalise_quat(v[None, 3:]), angle, np.zeros(1), measured=False)
         for v in tuned.predict(features)
     ]
 

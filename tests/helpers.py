@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from conformodal.conformal import Regions
-from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.regions import EvidenceType, PoseRegions, Support
 from conformodal.pipeline.results import record_of
 
@@ -71,7 +71,7 @@ class Missing:
 
 def pose_regions_of(bins, masks, unbounded, candidates=None):
     """Regions of poses from sets by hand: their product, or what an image's candidates support of it."""
-    nothing = Candidates(np.zeros((1, 3)), np.ones((1, 3)), np.eye(4)[:1], np.ones(1), np.zeros(1))
+    nothing = PoseMixture.weighted(np.zeros((1, 3)), np.ones((1, 3)), np.eye(4)[:1], np.ones(1), np.zeros(1))
     its = [nothing] * len(unbounded) if candidates is None else candidates
     supports = [Support.of(one, bins, np.eye(4)[0]) for one in its]
     sets = Regions(bins, masks, unbounded)

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import MotionStatus, RelativeMotion
-from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.observations import MotionPrior
 
 PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.5, 1.5), (0.5, 0.5))
@@ -40,5 +40,7 @@ def ambiguous(positions, rotations, seed=0, period=4.0, favour=0.0):
         orientations = np.tile([-q, turned.as_quat(scalar_first=True)], (3, 1))
         order = np.argsort(-mass, kind="stable")
         places = np.repeat(options, 2, axis=0)[order]
-        found.append(Candidates(places, np.full((6, 3), 0.05), orientations[order], np.full(6, 0.02), mass[order]))
+        found.append(
+            PoseMixture.weighted(places, np.full((6, 3), 0.05), orientations[order], np.full(6, 0.02), mass[order])
+        )
     return found

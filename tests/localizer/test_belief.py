@@ -6,9 +6,10 @@ from scipy.spatial.transform import Rotation
 from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.checks import BinProbabilities
 from conformodal.geometry import fix_sign
-from conformodal.localizer.candidates import Candidates, fuse
 from conformodal.localizer.evidence import PoseMeasurement
+from conformodal.localizer.fusion import fuse
 from conformodal.localizer.localizer import BEYOND, RECOGNISED, Beliefs, belief_cells, recognised_only
+from conformodal.localizer.mixtures import PoseMixture
 
 SIGN = np.array([1.0, 0, 0, 0])
 
@@ -32,7 +33,7 @@ def estimate(place, turn=(0.1, 0.2, -0.1), sigma_m=0.02, sigma_rad=0.01, probabi
 
 def mixture(*answers):
     """Of one mode and of what sources say."""
-    mode = Candidates(np.zeros((1, 3)), np.ones((1, 3)), SIGN[None], np.ones(1), np.zeros(1))
+    mode = PoseMixture.weighted(np.zeros((1, 3)), np.ones((1, 3)), SIGN[None], np.ones(1), np.zeros(1), measured=False)
     return fuse(mode, answers)
 
 

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from conformodal.geometry import angle_between_quats
-from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.filter import ALIKE, PoseFilter, filter_posteriors, hindsight_posteriors, predict, update
+from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.observations import Observations, Posterior, choose_places, find_places
 from tests.localizer.flights import PRIOR, ambiguous, exact_motions, path
 
@@ -23,12 +23,12 @@ def hypotheses(x, mass, spread=0.05, turn=0.02, quats=FACING):
     places = np.column_stack((x, np.zeros((n, 2))))
     spreads = np.broadcast_to(np.asarray(spread, dtype=float).reshape(-1, 1), (n, 3)).copy()
     turns = np.broadcast_to(np.asarray(turn, dtype=float), n).copy()
-    return Candidates(places, spreads, np.broadcast_to(quats, (n, 4)).copy(), turns, np.log(mass))
+    return PoseMixture.weighted(places, spreads, np.broadcast_to(quats, (n, 4)).copy(), turns, np.log(mass))
 
 
 def same(one, other):
     np.testing.assert_array_equal(one.hypotheses.positions_xyz, other.hypotheses.positions_xyz)
-    np.testing.assert_array_equal(one.hypotheses.log_mass, other.hypotheses.log_mass)
+    np.testing.assert_array_equal(one.hypotheses.log_weights, other.hypotheses.log_weights)
     assert one.elsewhere == other.elsewhere
 
 
@@ -63,7 +63,7 @@ WIDE = replace(PRIOR, volume_m3=1e6)
 
 def transition(before, after, step_s):
     """Densities of positions and orientations by SciPy, relative to an even spread."""
-    found = np.empty((len(before.log_mass), len(after.log_mass)))
+    found = np.empty((len(before.log_weights), len(after.log_weights)))
     for (j, p), (k, q) in product(enumerate(before.positions_xyz), enumerate(after.positions_xyz)):
         v = before.position_spreads[j] ** 2 + after.position_spreads[k] ** 2 + WIDE.reach_m(step_s) ** 2 / 5
         a = before.orientation_spreads_rad[j] ** 2 + after.orientation_spreads_rad[k] ** 2
@@ -83,7 +83,7 @@ def test_probabilities_are_those_of_all_sequences_together(monkeypatch):
     steps = [transition(frames[0], frames[1], 3.0), transition(frames[1], frames[2], 2.0)]
     joint = np.zeros((3, 3, 3))
     for a, b, c in product(range(3), repeat=3):
-        masses = [np.exp(f.log_mass[k]) for f, k in zip(frames, (a, b, c), strict=True)]
+        masses = [np.exp(f.log_weights[k]) for f, k in zip(frames, (a, b, c), strict=True)]
         joint[a, b, c] = np.prod(masses) * steps[0][a, b] * steps[1][b, c]
     joint /= joint.sum()
     expected = [joint.sum(axis=(1, 2)), joint.sum(axis=(0, 2)), joint.sum(axis=(0, 1))]
@@ -92,7 +92,7 @@ def test_probabilities_are_those_of_all_sequences_together(monkeypatch):
         order = np.argsort(-mass)
         np.testing.assert_allclose([p.probability for p in places], mass[order], rtol=2e-3)
         np.testing.assert_allclose([p.position_xyz for p in places], frame.positions_xyz[order], atol=0.01)
-    first_two = np.einsum("a,ab,b->b", np.exp(frames[0].log_mass), steps[0], np.exp(frames[1].log_mass))
+    first_two = np.einsum("a,ab,b->b", np.exp(frames[0].log_weights), steps[0], np.exp(frames[1].log_weights))
     found = find_places(filter_posteriors(seen, WIDE)[1], WIDE)
     np.testing.assert_allclose([p.probability for p in found], np.sort(first_two / first_two.sum())[::-1], rtol=2e-3)
 
@@ -177,7 +177,9 @@ def half_turned(seed=0):
         places = np.array([p for p, _ in pairs]) + rng.normal(size=3) * 0.02
         mass = np.log([0.5, 0.3, 0.1, 0.1][: len(pairs)])
         quats = np.array([r.as_quat(scalar_first=True) for _, r in pairs])
-        found.append(Candidates(places, np.full((len(pairs), 3), 0.05), quats, np.full(len(pairs), 0.02), mass))
+        found.append(
+            PoseMixture.weighted(places, np.full((len(pairs), 3), 0.05), quats, np.full(len(pairs), 0.02), mass)
+        )
     motions = exact_motions(positions, rotations)
     return positions, Observations(found, motions, 2.0 * np.arange(5))
 

@@ -3,8 +3,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import angle_between_quats
-from conformodal.localizer.candidates import AGREE, Candidates, fuse, inlier_odds
 from conformodal.localizer.evidence import PoseMeasurement
+from conformodal.localizer.fusion import AGREE, fuse, inlier_odds
+from conformodal.localizer.mixtures import PoseMixture
 
 
 def quats(*angles):
@@ -16,7 +17,8 @@ def modes(positions, spread=0.1, mass=None, angles=None, turn=0.1):
     n = len(positions)
     angles = [0.0] * n if angles is None else angles
     log_mass = np.log(np.full(n, 1 / n) if mass is None else mass)
-    return Candidates(positions, np.full((n, 3), spread), quats(*angles), np.full(n, turn), log_mass)
+    poses = positions, np.full((n, 3), spread), quats(*angles), np.full(n, turn)
+    return PoseMixture.weighted(*poses, log_mass, measured=False)
 
 
 def estimate(position, sigma=0.05, angle=0.0, turn=0.05, probability=0.9):
@@ -24,7 +26,7 @@ def estimate(position, sigma=0.05, angle=0.0, turn=0.05, probability=0.9):
 
 
 def masses(mixture):
-    return np.exp(mixture.candidates.log_mass)
+    return mixture.weights
 
 
 def unmeasured_mass(mixture):
@@ -37,7 +39,7 @@ def unmeasured_mass(mixture):
 def test_an_image_without_estimates_keeps_its_modes(answers):
     own = modes([[0, 0, 0], [5, 0, 0]])
     found = fuse(own, answers)
-    assert found.candidates is own
+    assert found is own
     assert found.measured.tolist() == [False, False]
     assert unmeasured_mass(found) == 1
 
@@ -50,7 +52,7 @@ def test_an_estimate_takes_its_probability_from_the_modes_wherever_it_is(positio
     expected = [(0.3 * (1 - probability), 0.0), (0.7 * (1 - probability), 3.0), (probability, position[0])]
     expected.sort(reverse=True)
     np.testing.assert_allclose(masses(found), [mass for mass, _ in expected], rtol=1e-12)
-    np.testing.assert_array_equal(found.candidates.positions_xyz[:, 0], [x for _, x in expected])
+    np.testing.assert_array_equal(found.positions_xyz[:, 0], [x for _, x in expected])
     assert unmeasured_mass(found) == pytest.approx(1 - probability, rel=1e-12)
 
 
@@ -68,13 +70,13 @@ def test_of_one_sources_estimates_at_most_one_is_right():
     # near to each other they are not taken together either
     together = fuse(modes([[0, 0, 0]]), [[estimate([1, 0, 0], probability=0.8), estimate([1, 0, 0], probability=0.5)]])
     np.testing.assert_allclose(masses(together), [4 / 6, 1 / 6, 1 / 6], rtol=1e-12)
-    np.testing.assert_array_equal(together.candidates.position_spreads[together.measured], 0.05)
+    np.testing.assert_array_equal(together.position_spreads[together.measured], 0.05)
 
 
 def test_estimates_of_two_sources_that_agree_are_refined_and_no_more_probable():
     first, second = estimate([0, 0, 0], 0.2, 0.0, 0.2, 0.9), estimate([0.1, 0, 0], 0.1, 0.1, 0.1, 0.8)
     found = fuse(modes([[3, 0, 0]]), [[first], [second]])
-    best = found.candidates
+    best = found
     # the product of two normal densities
     np.testing.assert_allclose(best.positions_xyz[0], [0.08, 0, 0], atol=1e-12)
     np.testing.assert_allclose(best.position_spreads[0], 1 / np.sqrt(1 / 0.2**2 + 1 / 0.1**2))
@@ -94,7 +96,7 @@ def test_estimates_agree_up_to_a_distance_in_standard_deviations(angle):
     first = estimate([0, 0, 0], 0.2)
     for off, moved in ((0.999, True), (1.001, False)):
         second = estimate([off * along, 0, 0], 0.1, angle, probability=0.8)
-        found = fuse(modes([[9, 0, 0]]), [[first], [second]]).candidates
+        found = fuse(modes([[9, 0, 0]]), [[first], [second]])
         assert (found.positions_xyz[0, 0] < second.position_xyz[0]) == moved
         assert (found.position_spreads[0, 0] < 0.1) == moved
-        assert np.exp(found.log_mass[0]) == pytest.approx(0.8)
+        assert np.exp(found.log_weights[0]) == pytest.approx(0.8)

@@ -101,7 +101,7 @@ def test_only_sources_that_look_at_local_features_recognise_places_and_others_ar
     found = Localizer((everywhere, local), bins, SIGN).beliefs(images(2))
     assert [[one.position_xyz[0] for one in its] for its in found.estimates] == [[], [4.0, 5.0]]
     assert found.recognised.tolist() == [False, True]
-    assert found.mixtures[1].candidates.positions_xyz[found.mixtures[1].measured, 0].tolist() == [4.0, 5.0]
+    assert found.mixtures[1].positions_xyz[found.mixtures[1].measured, 0].tolist() == [4.0, 5.0]
     for p, q in zip(found.proba, everywhere.answers.proba, strict=True):
         np.testing.assert_array_equal(p, np.concatenate((q, np.full_like(q, 1 / q.size))))
 
@@ -114,4 +114,4 @@ def test_another_source_is_asked_beside_a_recognised_place_if_it_can_be_a_third_
     [found] = Localizer(sources, bins, SIGN).beliefs(images(1)).mixtures
     product = 1 / (1 / sigma_m**2 + 1 / 0.2**2)
     expected = np.sqrt(product) if asked else sigma_m
-    assert found.candidates.position_spreads[0] == pytest.approx(expected)
+    assert found.position_spreads[0] == pytest.approx(expected)

@@ -60,7 +60,7 @@ def test_a_stream_says_that_it_does_not_know_a_place_and_goes_on(model, sequence
     assert lost.known_p == pytest.approx(model.novelty.matched.least_p)
     # the pose is where the camera can have come to, as far as it knows, and less sure
     reach = model.prior.reach_m(0.1)
-    away = np.linalg.norm(lost.pose.positions_xyz - first.pose.positions_xyz)
+    away = np.linalg.norm(lost.pose.position_xyz - first.pose.position_xyz)
     assert away <= reach + lost.position_spread_m
     assert away < 0.5
     assert lost.position_spread_m > first.position_spread_m

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Submap, Trajectory, angle_between_quats
 from conformodal.localizer import LocalizationError
-from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.observations import Observations, PosePath, fit_motion_prior
 from conformodal.localizer.smoother import image_hypotheses, smooth_orientations, smooth_positions
 from tests.localizer.flights import PRIOR, exact_motions, path
@@ -104,7 +104,8 @@ def test_a_smoother_starts_from_the_core_of_the_errors_of_known_images_and_is_wi
     t, positions, rotations = path(2)
     quats, spreads = rotations.as_quat(scalar_first=True), np.full((2, 3), 0.03)
     frames = [
-        Candidates(positions[i : i + 1], spreads[:1], quats[i : i + 1], np.array([0.02]), np.zeros(1)) for i in (0, 1)
+        PoseMixture.weighted(positions[i : i + 1], spreads[:1], quats[i : i + 1], np.array([0.02]), np.zeros(1))
+        for i in (0, 1)
     ]
     start = PosePath(t, positions + 0.01, 2 * spreads, quats, np.full(2, 0.04))
     found = image_hypotheses(start, Observations(frames, [None] * 2, t, known=np.array([True, False])), DEEP)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, Regions, SplitConformal
-from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.regions import Support, pose_regions, pose_scores
 
 N, CELLS = 40, 12
@@ -17,7 +17,7 @@ def hypotheses(rng, m):
     quats = rng.normal(size=(m, 4))
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
     log_mass = np.log(rng.dirichlet(np.ones(m)))
-    return Candidates(rng.random((m, 3)), np.full((m, 3), 0.1), quats, np.full(m, 0.1), log_mass)
+    return PoseMixture.weighted(rng.random((m, 3)), np.full((m, 3), 0.1), quats, np.full(m, 0.1), log_mass)
 
 
 @pytest.fixture(scope="module")
@@ -90,9 +90,8 @@ def test_places_name_disjoint_cuboids_with_the_hypotheses_in_them(beliefs):
         codes = {tuple(box.ravel()) for box in regions.boxes[i]}
         assert len(codes) == len(places)
         for place in places:
-            its = (support.candidates.positions_xyz >= place.box[:3, 0]) & (
-                support.candidates.positions_xyz <= place.box[:3, 1]
-            )
+            positions = support.mixture.positions_xyz[support.rows]
+            its = (positions >= place.box[:3, 0]) & (positions <= place.box[:3, 1])
             assert its.all(axis=1).any()
 
 
@@ -130,7 +129,7 @@ def test_where_each_target_is_calibrated_by_itself_the_region_is_the_product(bel
 
 
 def test_hypotheses_beyond_the_cells_support_nothing():
-    its = Candidates(np.array([[5.0, 5, 5]]), np.ones((1, 3)), SIGN[None], np.ones(1), np.zeros(1))
+    its = PoseMixture.weighted(np.array([[5.0, 5, 5]]), np.ones((1, 3)), SIGN[None], np.ones(1), np.zeros(1))
     support = Support.of(its, BINS, SIGN)
     assert not len(support.levels)
     assert support.out_of_range

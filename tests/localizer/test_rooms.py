@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins, SplitConformal, conformal_quantile
-from conformodal.localizer.candidates import Candidates
+from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.regions import EvidenceType, RegionRules
 from conformodal.localizer.rooms import Rooms, part_of, thresholds_by_room
 
@@ -18,7 +18,9 @@ def rule(scores, units=None, alpha=0.25):
 
 def belief(*positions, mass):
     n, upright = len(positions), np.array([1.0, 0, 0, 0])
-    return Candidates(np.array(positions), np.ones((n, 3)), np.tile(upright, (n, 1)), np.ones(n), np.log(mass))
+    return PoseMixture.weighted(
+        np.array(positions), np.ones((n, 3)), np.tile(upright, (n, 1)), np.ones(n), np.log(mass)
+    )
 
 
 def path(x, n=20):

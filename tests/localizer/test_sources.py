@@ -103,7 +103,7 @@ def test_a_source_of_ones_own_is_fitted_believed_saved_and_loaded(data_of, tmp_p
     evidence = FrameEvidence(data.features[80:])
     beliefs = localizer.beliefs(evidence)
     for mixture in beliefs.mixtures:
-        own, masses = mixture.candidates.positions_xyz[mixture.measured], np.exp(mixture.candidates.log_mass)
+        own, masses = mixture.positions_xyz[mixture.measured], mixture.weights
         np.testing.assert_array_equal(own, data.targets[frames, :3].mean(axis=0)[None])
         # but for modes too improbable to keep
         assert masses[~mixture.measured].sum() / masses.sum() == pytest.approx(0.75, rel=1e-2)

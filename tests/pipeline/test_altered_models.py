@@ -172,7 +172,7 @@ def test_a_model_with_xfeat_answers_as_before_it_was_saved(tmp_path):
     first, again = (VisualOdometry(one).step(image(), 1.0) for one in (model, load_model(tmp_path)))
     assert first.pose is not None
     assert again.pose is not None
-    np.testing.assert_array_equal(first.pose.poses_se3, again.pose.poses_se3)
+    np.testing.assert_array_equal(first.pose.pose_se3, again.pose.pose_se3)
     record = json.loads((tmp_path / "model.json").read_text())
     record["detector"] = hashlib.sha256(b"").hexdigest()
     (tmp_path / f"detector-{record['detector'][:8]}.onnx").write_bytes(b"")

@@ -49,7 +49,7 @@ def test_a_source_is_not_calibrated_on_frames_that_it_has_seen(sequence, small_w
 
 
 def hypothesis_at(targets, cells):
-    return Support(None, cells.encode(np.clip(targets, -3.9, 3.9)[None]), np.zeros(1))
+    return Support(None, np.zeros(1, int), cells.encode(np.clip(targets, -3.9, 3.9)[None]), np.zeros(1))
 
 
 class Claims:
@@ -101,7 +101,7 @@ class ToldBeliefs:
     """Beliefs about frames `rows`, to which posteriors add nothing."""
 
     def __init__(self, rows):
-        self.rows, self.mixtures = rows, [SimpleNamespace(candidates=None)] * len(rows)
+        self.rows, self.mixtures = rows, [None] * len(rows)
 
     def part(self, rows):
         return ToldBeliefs(self.rows[rows])

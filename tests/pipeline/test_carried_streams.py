@@ -97,13 +97,13 @@ def test_calibration_answers_a_held_out_stretch_as_a_run_does(model, answers):
     )
     beliefs = beliefs_of_streams(data, np.zeros(N_FRAMES, np.int64), looks.motions, frames, model.localizer)
     for k, estimate in enumerate(answers[0]):
-        mine, its = beliefs.mixtures[k].candidates, estimate.candidates
+        mine, its = beliefs.mixtures[k], estimate.candidates
         np.testing.assert_allclose(mine.positions_xyz, its.positions_xyz, atol=1e-6)
         np.testing.assert_allclose(mine.position_spreads, its.position_spreads, rtol=1e-5)
-        np.testing.assert_allclose(mine.log_mass, its.log_mass, atol=1e-5)
+        np.testing.assert_allclose(mine.log_weights, its.log_weights, atol=1e-5)
     # one by one, as single frames would be calibrated, the beliefs are others
     alone = model.localizer.beliefs(FrameEvidence(features, [looks.features[i] for i in frames.tolist()]))
     assert any(
-        not np.allclose(one.candidates.positions_xyz[0], other.candidates.positions_xyz[0], atol=1e-6)
+        not np.allclose(one.positions_xyz[0], other.positions_xyz[0], atol=1e-6)
         for one, other in zip(alone.mixtures, beliefs.mixtures, strict=True)
     )

@@ -9,10 +9,10 @@ from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.local import extract_local_features
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import Disturbance, read_recording
-from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import start
 from conformodal.localizer.regions import EvidenceType
+from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import ModelConfig, OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.evaluate import RegionStatistics, coverage_table
@@ -41,7 +41,7 @@ def test_a_saved_model_gives_the_same_answers(model, sequence, small_world, tmp_
         np.testing.assert_array_equal(a, b)
     for a, b in zip(here.candidates, there.candidates, strict=True):
         np.testing.assert_array_equal(a.positions_xyz, b.positions_xyz)
-        np.testing.assert_array_equal(a.log_mass, b.log_mass)
+        np.testing.assert_array_equal(a.log_weights, b.log_weights)
     np.testing.assert_array_equal(here.regions.length, there.regions.length)
     np.testing.assert_array_equal(here.known_p, there.known_p)
     np.testing.assert_array_equal(here.kinds, there.kinds)
@@ -81,7 +81,7 @@ def test_a_region_from_a_posterior_is_unbounded_after_a_gap_longer_than_those_th
     small = small_model()
     features = np.zeros((3, small.backbone.n_features), np.float32)
     beliefs, limit = small.localizer.beliefs(FrameEvidence(features)), small.path_rules["online"].longest_gap_s
-    known = start(beliefs.mixtures[0].candidates, known=True)
+    known = start(beliefs.mixtures[0], known=True)
     answers = Localization(beliefs, None, np.ones(3), np.full(3, EvidenceType.LANDMARKS), np.zeros(3, dtype=int))
     posteriors = [replace(known, unseen_s=gap) for gap in (0.0, limit, 1.01 * limit)]
     unbounded = small.path_regions(answers, posteriors, "online").unbounded

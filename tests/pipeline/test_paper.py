@@ -10,9 +10,8 @@ from scipy.spatial.transform import Rotation
 from conformodal.conformal import SplitConformal
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
-from conformodal.geometry import MotionStatus, RelativeMotion
-from conformodal.localizer.candidates import BinRuns
-from conformodal.localizer.observations import PosePath
+from conformodal.geometry import MotionStatus, RelativeMotion, concatenate
+from conformodal.localizer.modes import BinRuns
 from conformodal.pipeline.config import Calibration, ModelConfig, OdometryError
 from conformodal.pipeline.estimator import VisualOdometry, odometry_of
 from conformodal.pipeline.paper import Greedy, PaperOdometry
@@ -104,7 +103,7 @@ def some_intervals(rng, counts):
 def greedy(intervals, motions):
     path = Greedy()
     frames = enumerate(zip(intervals, motions, strict=True))
-    return PosePath.concatenate([path.push(*frame, float(t)) for t, frame in frames])
+    return concatenate([path.push(*frame).at(float(t)) for t, frame in frames])
 
 
 def means(runs):

@@ -39,8 +39,8 @@ def same(one, other):
     """Answers are the same to the last bit."""
     for ours, theirs in zip(one.localization.beliefs.proba, other.localization.beliefs.proba, strict=True):
         np.testing.assert_array_equal(ours, theirs)
-    np.testing.assert_array_equal(one.pose.positions_xyz, other.pose.positions_xyz)
-    np.testing.assert_array_equal(one.pose.orientations_quat_wxyz, other.pose.orientations_quat_wxyz)
+    np.testing.assert_array_equal(one.pose.position_xyz, other.pose.position_xyz)
+    np.testing.assert_array_equal(one.pose.orientation_quat_wxyz, other.pose.orientation_quat_wxyz)
     assert one.region.intervals(0)[0].tolist() == other.region.intervals(0)[0].tolist()
     assert (one.reliable, one.problem) == (other.reliable, other.problem)
 

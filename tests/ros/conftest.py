@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from conformodal.conformal import QuantileBins
-from conformodal.geometry import Trajectory
-from conformodal.localizer.candidates import Candidates
+from conformodal.geometry import Pose
+from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.estimates import Estimate
 from tests.helpers import pose_regions_of
@@ -20,7 +20,7 @@ def random_candidates(rng, m=4):
     quats = rng.normal(size=(m, 4))
     mass = rng.dirichlet(np.ones(m))
     order = np.argsort(-mass)
-    return Candidates(
+    return PoseMixture.weighted(
         np.clip(rng.normal(size=(m, 3)), -2.9, 2.9),
         rng.uniform(0.05, 0.5, (m, 3)),
         quats / np.linalg.norm(quats, axis=1, keepdims=True),
@@ -53,8 +53,8 @@ def make_estimate():
             return Estimate(time_s, None, None, None, None, False, "no image")
         rng = np.random.default_rng(seed)
         found = random_candidates(rng) if candidates is None else candidates
-        pose = Trajectory([time_s], found.positions_xyz[:1], found.orientations_quat_wxyz[:1])
-        pose = pose if revised is None else revised[-1:]
+        chosen = found if revised is None else revised[-1:]
+        pose = Pose(chosen.positions_xyz[0], chosen.orientations_quat_wxyz[0])
         unknown = kind is EvidenceType.UNKNOWN
         given = {"position_spread_m": 0.3, "orientation_spread_rad": 0.05, "known_p": 0.5, **given}
         return Estimate(

@@ -1,11 +1,12 @@
 """Messages against independent oracles: SciPy's rotations, sampling, and the region's own intervals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Trajectory
-from conformodal.localizer.candidates import Candidates, mixture_covariance
 from conformodal.localizer.regions import EvidenceType
 from conformodal.ros import conversion as conversion_module
 from conformodal.ros.conversion import Conversion
@@ -28,7 +29,7 @@ def rotation_of(orientation):
 def test_orientations_have_the_real_part_last(make_estimate, seed):
     estimate = make_estimate(seed=seed)
     found = Conversion().messages(estimate, 0)
-    expected = estimate.pose.poses_se3[0]
+    expected = estimate.pose.pose_se3
     for pose in (found["pose"].pose.pose, found["candidates"].poses[0], found["path"].poses[0].pose):
         np.testing.assert_allclose(rotation_of(pose.orientation).as_matrix(), expected[:3, :3], atol=1e-12)
         np.testing.assert_allclose([pose.position.x, pose.position.y, pose.position.z], expected[:3, 3])
@@ -50,17 +51,17 @@ def test_the_covariance_is_that_of_samples_in_the_order_of_ros(some_candidates):
     tilts = Rotation.from_rotvec(rng.normal(size=(3, 3)) * (0.05, 0.2, 0.4))
     base = Rotation.random(rng=rng)
     quats = (tilts * base).as_quat(scalar_first=True)
-    mixture = Candidates(one.positions_xyz, one.position_spreads, quats, one.orientation_spreads_rad, one.log_mass)
+    mixture = replace(one, orientations_quat_wxyz=quats)
     place = one.positions_xyz[0]
     n = 400_000
-    which = rng.choice(3, n, p=np.exp(one.log_mass))
+    which = rng.choice(3, n, p=np.exp(one.log_weights))
     positions = mixture.positions_xyz[which] + rng.normal(size=(n, 3)) * mixture.position_spreads[which]
     small = Rotation.from_rotvec(rng.normal(size=(n, 3)) * mixture.orientation_spreads_rad[which, None])
     turned = small * Rotation.from_quat(mixture.orientations_quat_wxyz, scalar_first=True)[which]
     chosen = Rotation.from_quat(quats[0], scalar_first=True)
     off = np.column_stack((positions - place, (turned * chosen.inv()).as_rotvec()))  # x y z, about fixed x y z
     expected = off.T @ off / n
-    found = mixture_covariance(mixture, place, quats[0])
+    found = mixture.covariance(place, quats[0])
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(found / scale, expected / scale, atol=0.02)
     assert np.abs((found / scale)[:3, 3:]).max() > 0.2  # position and rotation go together here

@@ -21,7 +21,7 @@ from conformodal.io import Layout
 from conformodal.io.diagnosis.clocks import clock_hint, describe_time_offset
 from conformodal.io.diagnosis.trajectories import doubt_truth
 from conformodal.io.folders import writing_in
-from conformodal.localizer.candidates import TARGET_NAMES
+from conformodal.localizer.targets import TARGET_NAMES
 from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.evaluate import bounded_coverage, coverage_by_room, error_table
 from conformodal.pipeline.provenance import provenance

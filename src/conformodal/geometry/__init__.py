@@ -15,6 +15,7 @@ from .metrics import (
 )
 from .poses import (
     MotionStatus,
+    Pose,
     PoseError,
     RelativeMotion,
     Submap,

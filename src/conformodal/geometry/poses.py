@@ -107,6 +107,23 @@ def fix_sign(quats: npt.ArrayLike, reference: npt.ArrayLike) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
+class Pose:
+    """A camera-to-world pose."""
+
+    position_xyz: FloatArray  # (3,) metres, the camera centre in the world
+    orientation_quat_wxyz: FloatArray  # (4,) of unit length, rotating camera coordinates to world
+
+    @property
+    def pose_se3(self) -> FloatArray:
+        """4x4 matrix ``T_world_cam``."""
+        return rigid_motions(matrix_from_quat_wxyz(self.orientation_quat_wxyz), self.position_xyz)
+
+    def at(self, timestamp_s: float) -> Trajectory:
+        """The trajectory of this pose alone."""
+        return Trajectory(np.array([timestamp_s]), self.position_xyz[None], self.orientation_quat_wxyz[None])
+
+
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """Camera-to-world poses over time.
 

@@ -16,6 +16,7 @@ from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArra
 from conformodal.core.ranges import Range
 from conformodal.features.backbone import coarse_features
 from conformodal.features.local import LocalFeatures
+from conformodal.geometry import Pose
 from conformodal.geometry.adjustment import MEDIAN_OF_NORM3, TAIL_OF_NORM3
 
 MIN_ESTIMATES = 20  # that errors are learnt from
@@ -72,11 +73,9 @@ class LandmarkView(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PoseMeasurement:
+class PoseMeasurement(Pose):
     """An absolute pose estimate of one image: the camera's pose in the world, and how good the estimate is."""
 
-    position_xyz: FloatArray  # (3,) metres
-    orientation_quat_wxyz: FloatArray  # (4,)
     sigma_m: float  # standard deviation of its errors, per axis
     sigma_rad: float  # about each axis
     n_inliers: int  # distinct observations that agree with the pose; a corner counts once

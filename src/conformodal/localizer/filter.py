@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.core.arrays import FloatArray
 from conformodal.geometry import RelativeMotion
 
-from .candidates import MOST, Candidates
+from .mixtures import MAX_HYPOTHESES, PoseMixture, Share, pool
 from .observations import PLACE_RAD, MotionPrior, Observations, Posterior, rotation_sigma
 
 _ROTATIONS = 8 * np.pi**2  # volume of all rotations, in units of small rotation vectors
@@ -56,9 +56,7 @@ LAG = 10  # frames of a stream whose answer is revised in hindsight
 class Prediction:
     """Where the hypotheses of a frame lead, a time step later or earlier."""
 
-    # turned by the measured rotation, spread by what the camera can have moved and turned. Only ratios of their
-    # probabilities count
-    hypotheses: Candidates
+    hypotheses: PoseMixture  # turned by the measured rotation, spread by what the camera can have moved and turned
     unturned_quats_wxyz: FloatArray  # (m, 4) and (m,) orientations if the measured rotation is an outlier
     unturned_spreads_rad: FloatArray
     measured: bool  # whether there is a measured rotation
@@ -90,23 +88,19 @@ def predict(
         sharp = np.minimum(np.hypot(spreads, rotation_sigma(motion)), np.pi)
     # variance per axis of a ball that is filled evenly
     reach2 = max(prior.reach_m(unseen_s) ** 2 - prior.reach_m(neighbour.unseen_s) ** 2, 0.0) / 5
-    ahead = replace(
-        hypotheses,
-        position_spreads=np.sqrt(hypotheses.position_spreads**2 + reach2),
-        orientations_quat_wxyz=turned,
-        orientation_spreads_rad=sharp,
-    )
+    position_spreads = np.sqrt(hypotheses.position_spreads**2 + reach2)
     # a hypothesis that is vaguer than the volume says no more than elsewhere does
-    widths = np.log(ahead.position_spreads).sum(axis=1) + 3 * np.log(sharp) + 3 * np.log(2 * np.pi)
-    ahead = replace(
-        ahead, log_mass=hypotheses.normalised().log_mass + np.minimum(np.log(prior.volume_m3 * _ROTATIONS) - widths, 0)
-    )
-    elsewhere = 1 - (1 - jump) * (1 - neighbour.elsewhere) * float(np.exp(ahead.log_mass).sum())
+    widths = np.log(position_spreads).sum(axis=1) + 3 * np.log(sharp) + 3 * np.log(2 * np.pi)
+    log_weights = hypotheses.log_weights + np.minimum(np.log(prior.volume_m3 * _ROTATIONS) - widths, 0)
+    ahead = PoseMixture.weighted(hypotheses.positions_xyz, position_spreads, turned, sharp, log_weights)
+    elsewhere = 1 - (1 - jump) * (1 - neighbour.elsewhere) * float(np.exp(log_weights).sum())
     elsewhere = min(max(elsewhere, jump), 1 - _MIN_MASS)
     return Prediction(ahead, quats, loose, measured, elsewhere, unseen_s)
 
 
-def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong: float, tempering: float) -> Posterior:
+def update(
+    ahead: Prediction, evidence: PoseMixture, prior: MotionPrior, *, wrong: float, tempering: float
+) -> Posterior:
     """The posterior of a frame: prediction times evidence, hypotheses of the image or of another independent source.
 
     Of each pair, a predicted hypothesis and one of the image, the product is merged with all others that have the same
@@ -114,7 +108,7 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     which masses of the evidence's places are raised, see :func:`tempered`, and with a factor normalisers; distances
     count in full.
     """
-    predicted = ahead.hypotheses.normalised()
+    predicted = ahead.hypotheses
     observed = tempered(evidence, tempering, prior)
     ahead_v, image_v = predicted.position_spreads**2, observed.position_spreads**2
     ahead_a, image_a = predicted.orientation_spreads_rad**2, observed.orientation_spreads_rad**2
@@ -137,10 +131,10 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
         turn, pair_a = np.where(outlier[..., None], apart, turn), np.where(outlier, loose, pair_a)
         image_is_sharper = image_is_sharper | outlier  # the predicted ones are turned
     anywhere = normaliser * np.log(prior.volume_m3 * _ROTATIONS)
-    pairs = predicted.log_mass[:, None] + observed.log_mass[None] + position + rotation + anywhere
+    pairs = predicted.log_weights[:, None] + observed.log_weights[None] + position + rotation + anywhere
     pairs += np.log1p(-wrong) + np.log1p(-ahead.elsewhere)
-    alone = predicted.log_mass + np.log(wrong) + np.log1p(-ahead.elsewhere)
-    fresh = observed.log_mass + np.log(ahead.elsewhere) + np.log1p(-wrong)
+    alone = predicted.log_weights + np.log(wrong) + np.log1p(-ahead.elsewhere)
+    fresh = observed.log_weights + np.log(ahead.elsewhere) + np.log1p(-wrong)
     top = max(pairs.max(), alone.max(), fresh.max())
     mass = np.exp(pairs - top)
     share, share_a = ahead_v[:, None] / total_v, (pair_a / (pair_a + image_a))[..., None]
@@ -159,34 +153,30 @@ def update(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, wrong
     by_predicted = _merged(
         predicted, np.exp(alone - top), of_predicted, share * step, between_v, share_a * turn, between_a
     )
-    joined = Candidates.concatenate((by_image, by_predicted))
-    total = np.logaddexp.reduce(joined.log_mass)
+    parts = [part for part in (by_image, by_predicted) if part is not None]
+    joined, total = pool(parts), np.logaddexp.reduce([part.log_weight for part in parts])
     nowhere = np.log(ahead.elsewhere) + np.log(wrong) - top
-    joined = joined.normalised()
-    order = np.argsort(-joined.log_mass, kind="stable")
+    order = np.argsort(-joined.log_weights, kind="stable")
     # many hypotheses of one place must not crowd out what the next images may speak for
-    stays = (np.arange(len(order)) < MOST) | (order < _FROM_IMAGE)
-    kept = joined.take(order[stays & (joined.log_mass[order] >= np.log(_MIN_MASS))]).normalised()
+    stays = (np.arange(len(order)) < MAX_HYPOTHESES) | (order < _FROM_IMAGE)
+    kept = joined.part(order[stays & (joined.log_weights[order] >= np.log(_MIN_MASS))])
     elsewhere = float(np.exp(nowhere - np.logaddexp(total, nowhere)))
     return Posterior(kept, min(max(elsewhere, _MIN_MASS), 1 - _MIN_MASS))
 
 
-def tempered(evidence: Candidates, power: float, prior: MotionPrior) -> Candidates:
+def tempered(evidence: PoseMixture, power: float, prior: MotionPrior) -> PoseMixture:
     """Hypotheses with the probabilities of their places raised to a power.
 
     Raising the hypotheses one by one would favour places that have many: 50 of mass 0.0004 would weigh as much as one
     of 0.98. What counts is the mass around each, by a kernel as wide as a place.
     """
-    hypotheses = evidence.normalised()
     if power == 1:
-        return hypotheses
-    off2 = ((hypotheses.positions_xyz[:, None] - hypotheses.positions_xyz[None]) ** 2).sum(axis=2) / prior.place_m**2
-    turns = 2 * np.arccos(
-        np.minimum(np.abs(hypotheses.orientations_quat_wxyz @ hypotheses.orientations_quat_wxyz.T), 1)
-    )
-    around = np.exp(-0.5 * (off2 + (turns / PLACE_RAD) ** 2)) @ np.exp(hypotheses.log_mass)
+        return evidence
+    off2 = ((evidence.positions_xyz[:, None] - evidence.positions_xyz[None]) ** 2).sum(axis=2) / prior.place_m**2
+    turns = 2 * np.arccos(np.minimum(np.abs(evidence.orientations_quat_wxyz @ evidence.orientations_quat_wxyz.T), 1))
+    around = np.exp(-0.5 * (off2 + (turns / PLACE_RAD) ** 2)) @ evidence.weights
     around = np.maximum(around, np.finfo(float).tiny)  # of a hypothesis that hardly counts
-    return replace(hypotheses, log_mass=hypotheses.log_mass + (power - 1) * np.log(around)).normalised()
+    return evidence.reweighted(evidence.log_weights + (power - 1) * np.log(around))
 
 
 def new_share(step_s: float) -> float:
@@ -194,9 +184,9 @@ def new_share(step_s: float) -> float:
     return 1 - ALIKE * float(np.exp(-step_s / _ALIKE_S))
 
 
-def start(evidence: Candidates, *, known: bool) -> Posterior:
+def start(evidence: PoseMixture, *, known: bool) -> Posterior:
     """The posterior of a frame from its image alone, which shows a known place or does not."""
-    return Posterior(evidence.normalised(), _WRONG if known else _WRONG_IF_UNKNOWN)
+    return Posterior(evidence, _WRONG if known else _WRONG_IF_UNKNOWN)
 
 
 def _log_density(distance2: FloatArray, log_determinant: FloatArray, normaliser: float) -> FloatArray:
@@ -205,22 +195,24 @@ def _log_density(distance2: FloatArray, log_determinant: FloatArray, normaliser:
 
 
 def _merged(
-    anchors: Candidates,
+    anchors: PoseMixture,
     alone: FloatArray,
     mass: FloatArray,
     offsets: FloatArray,
     variances: FloatArray,
     turns: FloatArray,
     angle_variances: FloatArray,
-) -> Candidates:
-    """Each of m anchors with k products around it, by their first two moments.
+) -> Share | None:
+    """Each of m anchors with k products around it, by their first two moments; None if all of them are impossible.
 
     `alone` (m,) is the mass of each anchor by itself, `mass` (m, k) that of its products; positions and rotation
     vectors of these, (m, k, 3), are relative to the anchor.
     """
     total = mass.sum(axis=1) + alone
     kept = total > 0
-    anchors, total, alone = anchors.take(np.flatnonzero(kept)), total[kept], alone[kept]
+    if not kept.any():
+        return None
+    anchors, total, alone = anchors.part(kept), total[kept], alone[kept]
     share, alone_share = mass[kept] / total[:, None], alone / total
     offsets, variances, turns, angles = offsets[kept], variances[kept], turns[kept], angle_variances[kept]
     mean, turn = np.einsum("mk,mki->mi", share, offsets), np.einsum("mk,mki->mi", share, turns)
@@ -229,13 +221,15 @@ def _merged(
     angle = np.einsum("mk,mk->m", share, angles + ((turns - turn[:, None]) ** 2).sum(axis=2) / 3)
     angle += alone_share * (anchors.orientation_spreads_rad**2 + (turn**2).sum(axis=1) / 3)
     quats = Rotation.from_quat(anchors.orientations_quat_wxyz, scalar_first=True) * Rotation.from_rotvec(turn)
-    return Candidates(
+    log_weights = np.log(total)
+    mixture = PoseMixture.weighted(
         anchors.positions_xyz + mean,
         np.sqrt(variance),
         quats.as_quat(scalar_first=True),
         np.minimum(np.sqrt(angle), np.pi),
-        np.log(total),
+        log_weights,
     )
+    return Share(mixture, float(np.logaddexp.reduce(log_weights)))
 
 
 def _rotation_vectors(start: FloatArray, end: FloatArray) -> FloatArray:
@@ -261,7 +255,7 @@ def _rotation_vectors(start: FloatArray, end: FloatArray) -> FloatArray:
 
 
 class _Step(NamedTuple):
-    evidence: Candidates
+    evidence: PoseMixture
     known: bool
     motion: RelativeMotion | None
     timestamp_s: float
@@ -288,7 +282,7 @@ class PoseFilter:
         self._steps.clear()
 
     def push(
-        self, evidence: Candidates, motion: RelativeMotion | None, timestamp_s: float, *, known: bool = True
+        self, evidence: PoseMixture, motion: RelativeMotion | None, timestamp_s: float, *, known: bool = True
     ) -> Posterior:
         """The posterior of the next frame, from the hypotheses of its image and the motion from the frame before.
 
@@ -310,7 +304,7 @@ class PoseFilter:
         return Window(Observations(evidence, motions, np.array(times), known=np.array(known)), posteriors)
 
 
-def weigh(ahead: Prediction, evidence: Candidates, prior: MotionPrior, *, known: bool, share: float) -> Posterior:
+def weigh(ahead: Prediction, evidence: PoseMixture, prior: MotionPrior, *, known: bool, share: float) -> Posterior:
     """The posterior of a frame from its prediction and its image, which shows a known place or does not.
 
     `share` is that of the image's evidence that others have not told.

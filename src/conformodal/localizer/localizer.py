@@ -21,8 +21,10 @@ from conformodal.core.progress import stage_of
 from conformodal.geometry import fix_sign
 
 from . import LocalizationError
-from .candidates import Candidates, Mixture, fuse, mode_candidates
 from .evidence import FrameEvidence, PoseMeasurement
+from .fusion import fuse
+from .mixtures import PoseMixture
+from .modes import mode_mixtures
 from .observations import Posterior
 from .regions import Support
 from .sources.registry import CarriesLandmarks, PoseSource, TurnsImages, find_source
@@ -52,7 +54,7 @@ class Beliefs:
     """Beliefs about the poses of n images."""
 
     proba: list[RealArray]  # seven arrays (n, K_j): the softmax over the bins
-    mixtures: Sequence[Mixture]  # pose hypotheses, image by image
+    mixtures: Sequence[PoseMixture]  # image by image
     estimates: Sequence[Sequence[PoseMeasurement]]  # from local features, image by image
 
     def __len__(self) -> int:
@@ -87,11 +89,8 @@ class Beliefs:
 
         The latter keeps a share whatever the posterior claims, which may be sure and wrong through a whole stretch.
         """
-        mixtures = []
-        for mixture, posterior in zip(self.mixtures, posteriors, strict=True):
-            from_posterior = np.ones(len(posterior.hypotheses.log_mass), dtype=np.bool_)
-            joined = posterior.with_image(mixture.candidates, _MIN_SHARE)
-            mixtures.append(Mixture(joined, np.concatenate((from_posterior, mixture.measured))))
+        pairs = zip(posteriors, self.mixtures, strict=True)
+        mixtures = [posterior.with_image(mixture, _MIN_SHARE) for posterior, mixture in pairs]
         return Beliefs(self.proba, mixtures, self.estimates)
 
     def marginals(self, bins: QuantileBins, cells: QuantileBins, sign_reference: FloatArray) -> list[FloatArray]:
@@ -101,12 +100,10 @@ class Beliefs:
             n = np.diff(np.searchsorted(fine, coarse))  # cells of each bin
             blocks.append(np.pad(np.repeat(p.astype(np.float64) / n, n, axis=1), beyond))
         for i, mixture in enumerate(self.mixtures):
-            mass = np.exp(mixture.candidates.log_mass)
-            mass /= mass.sum()
-            counted = mixture.measured & (mass > _NEGLIGIBLE)
+            counted = mixture.measured & (mixture.weights > _NEGLIGIBLE)
             if not counted.any():
                 continue
-            weights = mass[counted]
+            weights = mixture.weights[counted]
             places, sigmas = _as_targets(mixture, counted, sign_reference)
             for j, edges in enumerate(cells.edges_):
                 away = (edges - places[:, j, None]) / sigmas[:, j, None]
@@ -175,9 +172,9 @@ class Localizer:
         return belief_cells(self.bins, self.depth_m)
 
     @cached_property
-    def _anywhere(self) -> Candidates:
+    def _anywhere(self) -> PoseMixture:
         """The mode of an even softmax."""
-        return mode_candidates([np.full((1, k), 1 / k) for k in self.bins.sizes], self.bins)[0]
+        return mode_mixtures([np.full((1, k), 1 / k) for k in self.bins.sizes], self.bins)[0]
 
     def turn_for(self, position_xyz: FloatArray, quat_wxyz: FloatArray) -> float:
         """Angle in radians by which to turn an image from about a pose, for the sources that use local features."""
@@ -212,7 +209,7 @@ class Localizer:
             ask(source, np.flatnonzero(np.isinf(sigma_m) if evidence.busy else useful))
         in_order = [measurements[source.name] for source in self.sources if source.name in measurements]
         proba, told = self._density(densities, n), sorted({i for rows, _ in densities for i in rows.tolist()})
-        modes = dict(zip(told, mode_candidates([p[told] for p in proba], self.bins), strict=True))
+        modes = dict(zip(told, mode_mixtures([p[told] for p in proba], self.bins), strict=True))
         mixtures = [fuse(modes.get(i, self._anywhere), [answer[i] for answer in in_order]) for i in range(n)]
         return Beliefs(proba, mixtures, estimates)
 
@@ -233,7 +230,7 @@ class Localizer:
 
     def supports(self, beliefs: Beliefs) -> list[Support]:
         """What supports the cuboids of each image's region: its hypotheses as cells."""
-        return [Support.of(m.candidates, self.cells, self.sign_reference) for m in beliefs.mixtures]
+        return [Support.of(mixture, self.cells, self.sign_reference) for mixture in beliefs.mixtures]
 
     def marginals_by_part(self, beliefs: Beliefs) -> Iterator[tuple[slice, list[FloatArray]]]:
         """The marginals in chunks of images, with the rows of each chunk: all at once would take much memory."""
@@ -296,13 +293,12 @@ def _student_cdf(x: FloatArray) -> FloatArray:
     return np.asarray(0.5 + (scaled / (1 + scaled**2) + np.arctan(scaled)) / np.pi)
 
 
-def _as_targets(mixture: Mixture, rows: BoolArray, sign_reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _as_targets(mixture: PoseMixture, rows: BoolArray, sign_reference: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Hypotheses as targets and their standard deviations, (m, 7) each."""
-    hypotheses = mixture.candidates
-    quats = fix_sign(hypotheses.orientations_quat_wxyz[rows], sign_reference)
+    quats = fix_sign(mixture.orientations_quat_wxyz[rows], sign_reference)
     # a rotation by a small angle moves a unit quaternion by half of it, orthogonally to itself
-    angle = hypotheses.orientation_spreads_rad[rows, None] / 2 * np.sqrt(np.maximum(1 - quats**2, _MIN_ANGLE))
+    angle = mixture.orientation_spreads_rad[rows, None] / 2 * np.sqrt(np.maximum(1 - quats**2, _MIN_ANGLE))
     return (
-        np.concatenate((hypotheses.positions_xyz[rows], quats), axis=1),
-        np.concatenate((hypotheses.position_spreads[rows], angle), axis=1),
+        np.concatenate((mixture.positions_xyz[rows], quats), axis=1),
+        np.concatenate((mixture.position_spreads[rows], angle), axis=1),
     )

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, Rows, rows_by_label
-from conformodal.geometry import RelativeMotion, Submap, Trajectory, angle_between_quats, fix_sign, normalise_quat
+from conformodal.geometry import Pose, RelativeMotion, Submap, Trajectory, angle_between_quats, fix_sign, normalise_quat
 
 from . import LocalizationError
-from .candidates import Candidates
+from .mixtures import PoseMixture, Share, pool
 
 # hypotheses of one place are no further from its most probable one than this share of the scene's depth, and turned
 # no more than this angle
@@ -36,7 +36,7 @@ _USUAL_QUANTILE = 0.98
 class Observations:
     """What is known of the n frames of one recording, at least one."""
 
-    candidates: Sequence[Candidates]  # of each frame
+    candidates: Sequence[PoseMixture]  # of each frame
     # ``motions[t]`` leads from frame t - 1 to frame t, None where nothing is known of it; the first is ignored
     motions: Sequence[RelativeMotion | None]
     timestamps_s: FloatArray  # (n,) seconds, increasing
@@ -135,7 +135,7 @@ def _changes(part: Trajectory) -> FloatArray:
 class Posterior:
     """What is known of a frame's pose: hypotheses, or that it is anywhere."""
 
-    hypotheses: Candidates  # most probable first; their probabilities sum to one
+    hypotheses: PoseMixture  # most probable first
     elsewhere: float  # probability that none of them is right, and the pose anywhere in the volume
     unseen_s: float = 0.0  # seconds to the nearest frame it rests on whose image shows a known place
 
@@ -144,14 +144,13 @@ class Posterior:
         """Whether the pose is most probably elsewhere: no known place was seen, or too long ago."""
         return self.elsewhere > 0.5
 
-    def with_image(self, candidates: Candidates, least: float = 0.0) -> Candidates:
+    def with_image(self, image: PoseMixture, least: float = 0.0) -> PoseMixture:
         """All hypotheses, and after them those of the image alone, which stand where none of these is right.
 
         The image's have a probability of at least `least`.
         """
         share = max(self.elsewhere, least)
-        likely = self.hypotheses.normalised(np.log1p(-share))
-        return Candidates.concatenate((likely, candidates.normalised(np.log(share))))
+        return pool([Share(self.hypotheses, math.log1p(-share)), Share(image, math.log(share))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,14 +165,18 @@ class PosePath(Rows):
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
-    """One place where the camera may be: hypotheses of a posterior that mean the same pose, taken together."""
+class UncertainPose(Pose):
+    """A pose, with the spreads of its errors."""
 
-    probability: float  # posterior mass of its hypotheses
-    position_xyz: FloatArray  # (3,) metres, world: mean and standard deviations
-    position_spreads: FloatArray
-    orientation_quat_wxyz: FloatArray  # (4,) world from camera
+    position_spreads: FloatArray  # (3,) standard deviations in metres
     orientation_spread_rad: float  # standard deviation of each component of a small rotation
+
+
+@dataclass(frozen=True, eq=False)
+class Place(UncertainPose):
+    """One place where the camera may be: the mean of the hypotheses of a mixture that mean the same pose."""
+
+    probability: float  # weight of its hypotheses
     # (7, 2) lower and upper ends of the targets' intervals, of a place of a calibrated region; None of others
     box: FloatArray | None = None
 
@@ -184,37 +187,44 @@ def find_places(posterior: Posterior, prior: MotionPrior) -> list[Place]:
     Going down from the most probable hypothesis, each joins the first place whose most probable hypothesis is near: by
     a share of the scene's depth, which the prior gives.
     """
-    hypotheses = posterior.hypotheses.normalised(np.log1p(-posterior.elsewhere))
-    free = np.argsort(-hypotheses.log_mass, kind="stable")
+    hypotheses = posterior.hypotheses
+    free = np.argsort(-hypotheses.log_weights, kind="stable")
     places = []
     while free.size:
-        first, rest = hypotheses.take(free[:1]), hypotheses.take(free)
-        joins = same_place(rest, first.positions_xyz[0], first.orientations_quat_wxyz[0], prior)
+        positions, quats = hypotheses.positions_xyz[free], hypotheses.orientations_quat_wxyz[free]
+        joins = _near(positions, quats, positions[0], quats[0], prior)
         joins[0] = True
-        places.append(summarise(rest.take(np.flatnonzero(joins))))
+        place = mean_of(hypotheses, free[joins])
+        places.append(replace(place, probability=(1 - posterior.elsewhere) * place.probability))
         free = free[~joins]
     return sorted(places, key=lambda place: -place.probability)
 
 
 def same_place(
-    poses: Candidates | PosePath | Trajectory, positions_xyz: FloatArray, quats_wxyz: FloatArray, prior: MotionPrior
+    poses: PoseMixture | PosePath | Trajectory, positions_xyz: FloatArray, quats_wxyz: FloatArray, prior: MotionPrior
 ) -> BoolArray:
     """(m,) whether each of m poses is of the place of one pose, (3,) and (4,), or of its own, (m, 3) and (m, 4)."""
-    off = np.linalg.norm(poses.positions_xyz - positions_xyz, axis=1)
-    turned = angle_between_quats(poses.orientations_quat_wxyz, quats_wxyz)
-    return np.asarray((off <= prior.place_m) & (turned <= PLACE_RAD))
+    return _near(poses.positions_xyz, poses.orientations_quat_wxyz, positions_xyz, quats_wxyz, prior)
 
 
-def summarise(hypotheses: Candidates, box: FloatArray | None = None) -> Place:
-    """One place by the first two moments of its hypotheses, of which there is at least one."""
-    mass = np.exp(hypotheses.log_mass)
-    share = mass / mass.sum()
-    position = share @ hypotheses.positions_xyz
-    variance = share @ (hypotheses.position_spreads**2 + (hypotheses.positions_xyz - position) ** 2)
-    quat = normalise_quat(share @ fix_sign(hypotheses.orientations_quat_wxyz, hypotheses.orientations_quat_wxyz[0]))
-    apart = angle_between_quats(hypotheses.orientations_quat_wxyz, quat)
-    angle = float(np.sqrt(share @ (hypotheses.orientation_spreads_rad**2 + apart**2 / 3)))
-    return Place(float(mass.sum()), position, np.sqrt(variance), quat, angle, box)
+def _near(
+    positions_xyz: FloatArray, quats_wxyz: FloatArray, place_xyz: FloatArray, place_wxyz: FloatArray, prior: MotionPrior
+) -> BoolArray:
+    off = np.linalg.norm(positions_xyz - place_xyz, axis=1)
+    return np.asarray((off <= prior.place_m) & (angle_between_quats(quats_wxyz, place_wxyz) <= PLACE_RAD))
+
+
+def mean_of(mixture: PoseMixture, rows: IntArray, box: FloatArray | None = None) -> Place:
+    """The place that some hypotheses of a mixture make up, at least one, by their first two moments."""
+    weights = mixture.weights[rows]
+    share = weights / weights.sum()
+    positions, quats = mixture.positions_xyz[rows], mixture.orientations_quat_wxyz[rows]
+    position = share @ positions
+    variance = share @ (mixture.position_spreads[rows] ** 2 + (positions - position) ** 2)
+    quat = normalise_quat(share @ fix_sign(quats, quats[0]))
+    apart = angle_between_quats(quats, quat)
+    angle = float(np.sqrt(share @ (mixture.orientation_spreads_rad[rows] ** 2 + apart**2 / 3)))
+    return Place(position, quat, np.sqrt(variance), angle, float(weights.sum()), box)
 
 
 def choose_places(posteriors: Sequence[Posterior], timestamps_s: FloatArray, prior: MotionPrior) -> PosePath:

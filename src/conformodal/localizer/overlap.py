@@ -12,7 +12,7 @@ from conformodal.core.arrays import BoolArray, FloatArray, evenly_spread
 from conformodal.core.parallel import in_threads
 from conformodal.core.words import counted
 from conformodal.features.local import ORB
-from conformodal.geometry import Trajectory, matrix_from_quat_wxyz, rigid_motions
+from conformodal.geometry import Trajectory
 from conformodal.io import Recording
 from conformodal.tracking.motions import frame_features
 
@@ -75,7 +75,7 @@ def measure_overlap(reference: Recording, other: Recording, depth_m: float) -> O
         sure = [one for one in landmarks.localize(query) if one.n_inliers >= _INLIERS]
         if sure:
             best = max(sure, key=lambda one: one.n_inliers)
-            estimate = rigid_motions(matrix_from_quat_wxyz(best.orientation_quat_wxyz), best.position_xyz)
+            estimate = best.pose_se3
             motions.append(estimate @ np.linalg.inv(poses.poses_se3[frame]))
     middle = poses.positions_xyz.mean(axis=0)
     return compare_world_frames(np.array(motions), middle, depth_m, Overlap(near, len(queried), len(motions)))

@@ -27,9 +27,9 @@ from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArra
 from conformodal.features.backbone import coarse_features
 from conformodal.geometry import fix_sign
 
-from .candidates import Candidates
 from .evidence import FrameEvidence
-from .observations import Place, summarise
+from .mixtures import PoseMixture
+from .observations import Place, mean_of
 from .rooms import part_of, thresholds_by_room
 
 # Default significance levels of the novelty test, where single frames were left out and where stretches or recordings
@@ -42,7 +42,8 @@ _LEVEL_FRAMES, LEVEL_STRETCHES = 0.015, 0.1
 class Support:
     """The hypotheses of one image that can support a cuboid, most probable first."""
 
-    candidates: Candidates  # the m hypotheses; their probabilities are shares of the whole belief
+    mixture: PoseMixture  # the whole belief
+    rows: IntArray  # (m,) hypotheses within the cells
     cells: IntArray  # (m, 7) cell of each target
     levels: FloatArray  # (m,) level of the region from which each counts: the probability of all that are more probable
     within: float = 1.0  # probability of the cells: the rest lies where no training frame was, or is turned as none was
@@ -53,16 +54,15 @@ class Support:
         return self.within < 0.5
 
     @classmethod
-    def of(cls, candidates: Candidates, cells: QuantileBins, sign_reference: FloatArray) -> Self:
+    def of(cls, mixture: PoseMixture, cells: QuantileBins, sign_reference: FloatArray) -> Self:
         """Of an image's hypotheses, without those beyond the cells."""
-        hypotheses = candidates.normalised()
-        hypotheses = hypotheses.take(np.argsort(-hypotheses.log_mass, kind="stable"))
-        quats = fix_sign(hypotheses.orientations_quat_wxyz, sign_reference)
-        codes = cells.encode(np.concatenate((hypotheses.positions_xyz, quats), axis=1))
-        mass = np.exp(hypotheses.log_mass)
+        order = np.argsort(-mixture.log_weights, kind="stable")
+        quats = fix_sign(mixture.orientations_quat_wxyz, sign_reference)
+        codes = cells.encode(np.concatenate((mixture.positions_xyz, quats), axis=1))[order]
+        weights = mixture.weights[order]
         within = np.flatnonzero((codes >= 0).all(axis=1))
-        levels = np.concatenate(([0.0], np.cumsum(mass)[:-1]))
-        return cls(hypotheses.take(within), codes[within], levels[within], float(mass[within].sum()))
+        levels = np.concatenate(([0.0], np.cumsum(weights)[:-1]))
+        return cls(mixture, order[within], codes[within], levels[within], float(weights[within].sum()))
 
 
 class PoseRegions(Regions):
@@ -134,7 +134,7 @@ class PoseRegions(Regions):
         support, places = self.supports[i], []
         for (low, high), edges in zip(np.moveaxis(self.boxes[i], 2, 1), self.box_edges(i), strict=True):
             inside = ((support.cells >= low) & (support.cells < high)).all(axis=1)
-            places.append(summarise(support.candidates.take(np.flatnonzero(inside)), edges))
+            places.append(mean_of(support.mixture, support.rows[inside], edges))
         return sorted(places, key=lambda place: -place.probability)
 
     @property

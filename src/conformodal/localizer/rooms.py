@@ -20,7 +20,7 @@ from conformodal.conformal import SplitConformal
 from conformodal.conformal.checks import as_alpha
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 
-from .candidates import Candidates
+from .mixtures import PoseMixture
 
 # Two recordings are of one room if this share of the frames of either lies within so many scene depths of the other
 _NEAR_DEPTHS, _MIN_SHARE = 0.5, 0.5
@@ -53,9 +53,9 @@ class Rooms:
     def _known(self) -> KDTree:
         return KDTree(self.positions_xyz)
 
-    def rooms_of(self, beliefs: Sequence[Candidates]) -> IntArray:
+    def rooms_of(self, beliefs: Sequence[PoseMixture]) -> IntArray:
         """The room (n,) of the most probable hypothesis of each of n beliefs: that of the nearest known frame."""
-        best = [one.positions_xyz[np.argmax(one.log_mass)] for one in beliefs]
+        best = [one.positions_xyz[np.argmax(one.log_weights)] for one in beliefs]
         return self.rooms[self._known.query(np.reshape(best, (-1, 3)))[1]]
 
 

@@ -48,7 +48,7 @@ def image_hypotheses(path: PosePath, seen: Observations, prior: MotionPrior) -> 
         if rows.size:
             off2 = ((hypotheses.positions_xyz[rows] - positions[t]) ** 2).sum(axis=1)
             wide2 = (hypotheses.position_spreads[rows] ** 2).sum(axis=1) + (spreads[t] ** 2).sum()
-            best = rows[np.argmax(hypotheses.log_mass[rows] - 0.5 * off2 / wide2)]
+            best = rows[np.argmax(hypotheses.log_weights[rows] - 0.5 * off2 / wide2)]
             positions[t], spreads[t] = hypotheses.positions_xyz[best], hypotheses.position_spreads[best]
             spreads[t] *= _CORE_OF_SPREAD
             quats[t] = hypotheses.orientations_quat_wxyz[best]

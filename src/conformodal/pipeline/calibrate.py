@@ -102,7 +102,7 @@ def calibrate_regions(
         for (fold, localizer), one in zip(pairs, beliefs, strict=True)
     ]
     overall = rule.calibrate_scores(np.concatenate(scores), units)
-    in_rooms = None if rooms is None else rooms.rooms_of([m.candidates for one in beliefs for m in one.mixtures])
+    in_rooms = None if rooms is None else rooms.rooms_of([mixture for one in beliefs for mixture in one.mixtures])
     rules = RegionRules(overall, recognised, known_p, level, rooms=in_rooms)
     return CalibratedRegions(rules, novelty, beliefs)
 
@@ -247,12 +247,11 @@ class PathScores(Rows):
     ) -> Self:
         """Of targets (n, 7), from beliefs about the images and posteriors."""
         rule, after = path_rule(localizer.cells, 0.1), beliefs.after(posteriors)  # no score depends on the rate
-        best = [mixture.candidates for mixture in after.mixtures]
         return cls(
             score_beliefs(rule, localizer, after, targets),
             np.array([one.lost for one in posteriors]) | _out_of_range(localizer, after),
             np.array([one.unseen_s for one in posteriors]),
-            np.zeros(len(targets), dtype=np.int64) if rooms is None else rooms.rooms_of(best),
+            np.zeros(len(targets), dtype=np.int64) if rooms is None else rooms.rooms_of(after.mixtures),
         )
 
 
@@ -289,7 +288,7 @@ def calibrate_paths(
         for at in order:
             frames, rows = held_out[at], at.tolist()
             observations = Observations(
-                [beliefs.mixtures[i].candidates for i in rows],
+                [beliefs.mixtures[i] for i in rows],
                 [motions[frame] for frame in frames.tolist()],
                 data.sequence.timestamps_s[frames],
                 known=rules.known[start + at],
@@ -339,7 +338,7 @@ def compare_sources(
             p = novelty.p_values(images, beliefs.recognition)
         scores = score_beliefs(_on_cells(rules.overall, by), by, beliefs, data.targets[frames[rows]])
         kinds = rules.kinds(p, beliefs.recognised)
-        in_rooms = None if rooms is None else rooms.rooms_of([mixture.candidates for mixture in beliefs.mixtures])
+        in_rooms = None if rooms is None else rooms.rooms_of(beliefs.mixtures)
         held = np.asarray((scores <= rules.thresholds(kinds, in_rooms)).all(axis=1))
         return held, rules.overall.columns(scores).mean(axis=1), kinds != EvidenceType.UNKNOWN
 

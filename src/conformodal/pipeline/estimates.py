@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
-from conformodal.geometry import RelativeMotion, Trajectory
-from conformodal.localizer.candidates import Candidates, mixture_covariance
+from conformodal.geometry import Pose, RelativeMotion, Trajectory
 from conformodal.localizer.evidence import PoseMeasurement
+from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.observations import Observations, Place, Posterior
 from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.tracking.submaps import build_submaps
@@ -25,12 +25,11 @@ class Estimate:
     """The estimate of one frame of a stream; what rests on an image is None where the frame has none."""
 
     timestamp_s: float
-    # the mean of the most probable place given all frames so far, as a trajectory of one. A point estimate: the
-    # guarantee is the region's
-    pose: Trajectory | None = None
+    # the mean of the most probable place given all frames so far. A point estimate: the guarantee is the region's
+    pose: Pose | None = None
     # calibrated region of this frame alone (length 1); where landmarks were looked for, it rests on them too
     region: PoseRegions | None = None
-    candidates: Candidates | None = None  # hypotheses of this image alone
+    candidates: PoseMixture | None = None  # hypotheses of this image alone
     relative_motion: RelativeMotion | None = None  # since the last usable frame
     # whether image and motion could be used, the image shows a known place, and no other place is probable; and why not
     reliable: bool = False
@@ -57,13 +56,13 @@ class Estimate:
     def covariance(self) -> FloatArray | None:
         """(6, 6) of the posterior about :attr:`pose`, all places together; None without an image.
 
-        For the axes see :func:`~conformodal.localizer.candidates.mixture_covariance`. Where no hypothesis of the
+        For the axes see :meth:`~conformodal.localizer.mixtures.PoseMixture.covariance`. Where no hypothesis of the
         posterior is right, those of the image alone stand.
         """
         if self.pose is None or self.candidates is None:
             return None
         mixture = self.candidates if self.posterior is None else self.posterior.with_image(self.candidates)
-        return mixture_covariance(mixture, self.pose.positions_xyz[0], self.pose.orientations_quat_wxyz[0])
+        return mixture.covariance(self.pose.position_xyz, self.pose.orientation_quat_wxyz)
 
     @property
     def revised(self) -> Trajectory | None:
@@ -71,7 +70,9 @@ class Estimate:
 
         A frame's pose may change until ten frames have followed it.
         """
-        return self.pose if self.revise is None else self.revise()
+        if self.pose is None:
+            return None
+        return self.pose.at(self.timestamp_s) if self.revise is None else self.revise()
 
 
 @dataclass(eq=False)

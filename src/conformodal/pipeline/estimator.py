@@ -11,15 +11,15 @@ import numpy as np
 
 from conformodal.core.arrays import Float32Array, FloatArray, UInt8Array
 from conformodal.features.local import LocalFeatures, extract_local_features
-from conformodal.geometry import RelativeMotion, Trajectory
+from conformodal.geometry import Pose, RelativeMotion, Trajectory
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.io.decoding import grey_image
-from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.carrying import CarrySettings, FeatureStream, FrameLook, StreamFrame
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import PoseFilter, Window, hindsight_posteriors
 from conformodal.localizer.observations import MotionPrior, choose_places, find_places
 from conformodal.localizer.regions import EvidenceType, PoseRegions
+from conformodal.localizer.targets import pose_targets
 from conformodal.tracking.tracker import MotionFrontEnd, affine_flow
 
 from .config import Method, OdometryError
@@ -124,14 +124,13 @@ class VisualOdometry(Odometry):
             problems.append(f"recognised more weakly than every frame that calibrates (p = {known_p:.2g})")
         if best.probability < RELIABLE:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
-        pose = Trajectory(np.array([timestamp_s]), best.position_xyz[None], best.orientation_quat_wxyz[None])
         path_region = self.model.path_regions(localization, [posterior], ONLINE)
-        problems += self._doubts(localization.regions if path_region is None else path_region, pose)
-        if path_region is not None and not self._holds(localization.regions, pose):  # a path may be sure and wrong
+        problems += self._doubts(localization.regions if path_region is None else path_region, best)
+        if path_region is not None and not self._holds(localization.regions, best):  # a path may be sure and wrong
             problems.append("the pose lies outside of the image's region")
         return Estimate(
             timestamp_s=timestamp_s,
-            pose=pose,
+            pose=best,
             region=localization.regions,
             path_region=path_region,
             candidates=candidates,
@@ -158,7 +157,7 @@ class VisualOdometry(Odometry):
         least = 0.0 if novelty is None else (novelty.matched or novelty.test).least_p
         return min(self.model.rules.level, (1 + _ROUNDING) * least)
 
-    def _doubts(self, region: PoseRegions, pose: Trajectory) -> list[str]:
+    def _doubts(self, region: PoseRegions, pose: Pose) -> list[str]:
         """Why a calibrated region does not vouch for a pose."""
         if region.unbounded.any():
             return ["the region is unbounded"]
@@ -166,9 +165,9 @@ class VisualOdometry(Odometry):
             return [f"the region names {region.n_places[0]} places"]
         return [] if self._holds(region, pose) else ["the pose lies outside of its region"]
 
-    def _holds(self, region: PoseRegions, pose: Trajectory) -> bool:
+    def _holds(self, region: PoseRegions, pose: Pose) -> bool:
         """Whether a region contains a pose."""
-        return bool(region.contains(pose_targets(pose, self.model.sign_reference), joint=True)[0])
+        return bool(region.contains(pose_targets(pose.at(0.0), self.model.sign_reference), joint=True)[0])
 
 
 def _revised(window: Window, prior: MotionPrior) -> Trajectory:

@@ -24,13 +24,13 @@ from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.local import LocalFeatures
 from conformodal.geometry import RelativeMotion, concatenate, trajectory_errors
 from conformodal.io import Recording, Split
-from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import hindsight_posteriors
 from conformodal.localizer.observations import Observations, Posterior
 from conformodal.localizer.regions import PlaceNovelty, RegionRules
 from conformodal.localizer.rooms import Rooms
 from conformodal.localizer.sources.growing import GrowsWithFrames
+from conformodal.localizer.targets import pose_targets
 from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.depths import SceneDepth
 
@@ -231,7 +231,7 @@ def _journal_entry(model: PoseModel, recording: Recording, estimates: list[Estim
     scores = StreamScores(model, truth)
     for i, estimate in enumerate(estimates):
         scores.add(i, estimate, truth[i : i + 1])
-    online = concatenate([one.pose for one in estimates if one.pose is not None])
+    online = concatenate([one.pose.at(one.timestamp_s) for one in estimates if one.pose is not None])
     regions, paths = scores.statistics, scores.path_coverage(online)
     path = None if paths is None else paths.get(ONLINE)
     return JournalEntry(

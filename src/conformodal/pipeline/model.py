@@ -20,9 +20,9 @@ from conformodal.features.backbone import Backbone
 from conformodal.features.local import ORB, Detector, QualityRange
 from conformodal.geometry import PinholeCamera
 from conformodal.io import Recording, Split, SplitKind
-from conformodal.localizer.candidates import Candidates
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.localizer import Beliefs, Localizer
+from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.observations import MotionPrior, Posterior
 from conformodal.localizer.regions import (
     EvidenceType,
@@ -182,9 +182,9 @@ class Localization:
         return cls(beliefs, regions, known_p, kinds, rooms)
 
     @property
-    def candidates(self) -> list[Candidates]:
+    def candidates(self) -> Sequence[PoseMixture]:
         """The hypotheses of each belief."""
-        return [mixture.candidates for mixture in self.beliefs.mixtures]
+        return self.beliefs.mixtures
 
     @property
     def known(self) -> BoolArray:
@@ -306,7 +306,7 @@ class PoseModel:
         """(n,) the room of each belief."""
         if self.rooms is None:
             return np.zeros(len(beliefs), dtype=np.int64)
-        return self.rooms.rooms_of([mixture.candidates for mixture in beliefs.mixtures])
+        return self.rooms.rooms_of(beliefs.mixtures)
 
     def scores(self, beliefs: Beliefs, targets: FloatArray) -> RealArray:
         """Nonconformity scores (n, 7) of targets (n, 7) under beliefs about n images, as those that calibrate."""

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from conformodal.conformal import SplitConformal
 from conformodal.core.arrays import Float32Array, FloatArray, UInt8Array
 from conformodal.geometry import RelativeMotion
-from conformodal.localizer.candidates import BinRuns, interval_candidates, interval_runs
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.localizer import Localizer
-from conformodal.localizer.observations import PosePath, fit_motion_prior
+from conformodal.localizer.modes import BinRuns, interval_mixtures, interval_runs
+from conformodal.localizer.observations import UncertainPose, fit_motion_prior
 from conformodal.localizer.regions import EvidenceType, RegionRules, Support, pose_regions
 from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.tracker import EssentialFrontEnd
@@ -29,7 +29,6 @@ from .folds import make_folds, settings_record
 from .identity import identify
 from .model import PAPERS_METHOD, ExpectedInput, Localization, PoseModel
 from .odometry import InputWatch, Odometry
-from .stream import as_trajectory
 
 _MIN_NORM = 1e-6
 
@@ -89,13 +88,13 @@ class PaperOdometry(Odometry):
         localization = self._localize(self.model.backbone.features_of(image))
         proba, region = localization.beliefs.proba, localization.regions
         motion = self._front_end.measure(image)
-        path = self._path.push(interval_runs(proba, region)[0], motion, timestamp_s)
+        pose = self._path.push(interval_runs(proba, region)[0], motion)
         reliable = motion is None or motion.reliable
         return Estimate(
             timestamp_s=timestamp_s,
-            pose=as_trajectory(path),
+            pose=pose,
             region=region,
-            candidates=interval_candidates(proba, region)[0],
+            candidates=interval_mixtures(proba, region)[0],
             relative_motion=motion,
             reliable=reliable,
             problem="" if reliable or motion is None else str(motion.status),
@@ -103,14 +102,14 @@ class PaperOdometry(Odometry):
             tracks=self._front_end.tracks,
             corners=self._front_end.corners,
             evidence=EvidenceType.GLOBAL,
-            position_spread_m=float(np.linalg.norm(path.position_spreads[0])),
-            orientation_spread_rad=float(path.orientation_spreads_rad[0]),
+            position_spread_m=float(np.linalg.norm(pose.position_spreads)),
+            orientation_spread_rad=pose.orientation_spread_rad,
         )
 
     def _localize(self, features: Float32Array) -> Localization:
         """The region of an image as the paper has it: sets of bins, whatever the image."""
         beliefs, rule = self.model.localizer.beliefs(FrameEvidence(features)), self.model.calibration
-        supports = [Support.of(m.candidates, rule.bins, self.model.sign_reference) for m in beliefs.mixtures]
+        supports = [Support.of(mixture, rule.bins, self.model.sign_reference) for mixture in beliefs.mixtures]
         regions = pose_regions(rule, beliefs.proba, supports, rule.thresholds_)
         kinds, rooms = np.array([EvidenceType.GLOBAL], dtype=np.int64), np.zeros(1, dtype=np.int64)
         return Localization(beliefs, regions, np.array([np.nan]), kinds, rooms)
@@ -130,8 +129,8 @@ class Greedy:
         self._place: FloatArray | None = None
         self._quat: FloatArray = np.array([1.0, 0.0, 0.0, 0.0])
 
-    def push(self, here: Sequence[BinRuns], motion: RelativeMotion | None, timestamp_s: float) -> PosePath:
-        """The pose (a path of one) of the next frame, from its :func:`~conformodal.localizer.candidates.interval_runs`.
+    def push(self, here: Sequence[BinRuns], motion: RelativeMotion | None) -> UncertainPose:
+        """The pose of the next frame, from its :func:`~conformodal.localizer.modes.interval_runs`.
 
         `motion` leads from the frame before to it; None where nothing is known of it.
         """
@@ -150,8 +149,7 @@ class Greedy:
         if norm > _MIN_NORM:  # components that cancel say nothing
             self._quat = chosen[3:] / norm
         turn = 2 * np.sqrt(np.mean(spreads[3:] ** 2))  # a quaternion moves half as far as the rotation turns
-        times, turns = np.array([timestamp_s]), np.array([turn])
-        return PosePath(times, self._place[None], spreads[None, :3], self._quat[None], turns)
+        return UncertainPose(self._place, self._quat, spreads[:3], float(turn))
 
 
 def _nearest_quat(means: Sequence[FloatArray], q_next: FloatArray) -> list[int]:

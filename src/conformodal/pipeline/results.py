@@ -21,9 +21,9 @@ from conformodal.core.words import finite_or_none
 from conformodal.geometry import Trajectory
 from conformodal.io.folders import FolderError, writing_in
 from conformodal.io.pose_files import TUM_HEADER, read_tum, tum_lines
-from conformodal.localizer.candidates import TARGET_NAMES, pose_targets
 from conformodal.localizer.observations import Place
 from conformodal.localizer.regions import EvidenceType, PoseRegions, boxes_hold
+from conformodal.localizer.targets import TARGET_NAMES, pose_targets
 
 from .config import Method
 from .estimates import Estimate

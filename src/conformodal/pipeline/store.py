@@ -34,12 +34,12 @@ from conformodal.features.local import DETECTORS, Detector, QualityRange
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.camera import CAMERA_JSON
 from conformodal.io import Split, SplitKind
-from conformodal.localizer.candidates import TARGET_NAMES
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import MotionPrior
 from conformodal.localizer.regions import PlaceNovelty, RegionRules
 from conformodal.localizer.rooms import Rooms
 from conformodal.localizer.sources.registry import SourceState, find_source
+from conformodal.localizer.targets import TARGET_NAMES
 
 from .config import Method
 from .identity import FrameIdentities

@@ -165,8 +165,8 @@ class StreamRunner:
 
     def _append(self, frame: Frame, estimate: Estimate) -> None:
         """Count, measure and write an answer, and queue it for the whole path."""
-        pose = estimate.pose
-        assert pose is not None
+        assert estimate.pose is not None
+        pose = estimate.pose.at(estimate.timestamp_s)
         self.n_answered += 1
         self.n_localized += bool(estimate.estimates)
         truth = self.scores.true_pose(frame)

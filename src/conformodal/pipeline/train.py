@@ -14,12 +14,12 @@ from conformodal.features.networks import backbone_config, make_backbone, make_d
 from conformodal.geometry import sign_reference
 from conformodal.io import Recording, make_split, with_random_calibration
 from conformodal.io.recording import join_recordings
-from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import fit_motion_prior
 from conformodal.localizer.regions import PlaceNovelty
 from conformodal.localizer.rooms import Rooms
 from conformodal.localizer.sources.registry import find_source
+from conformodal.localizer.targets import pose_targets
 from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.depths import UNKNOWN_DEPTH, scene_depth
 

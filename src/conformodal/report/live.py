@@ -59,10 +59,10 @@ class LiveView:
         if estimate.tracks is not None:
             entities["camera/image/tracks"] = rr.LineStrips2D(np.stack(estimate.tracks, axis=1), colors=_REGION)
         if estimate.region is not None and estimate.pose is not None:
-            here = estimate.pose.positions_xyz[0]
+            here = estimate.pose.position_xyz
             unknown = estimate.evidence is EvidenceType.UNKNOWN
             shown = rr.Clear(recursive=False) if unknown else self._cuboids(estimate.region, here, _REGION)
-            w, x, y, z = estimate.pose.orientations_quat_wxyz[0]
+            w, x, y, z = estimate.pose.orientation_quat_wxyz
             entities |= {
                 "world/region": shown,
                 "world/chosen": rr.Points3D([here], radii=0.04, colors=_ANSWER),
@@ -75,7 +75,7 @@ class LiveView:
             if estimate.path_region is not None:
                 entities["world/places"] = self._cuboids(estimate.path_region, here, _ANSWER)
             if estimate.candidates is not None:
-                labels = [f"{mass:.2f}" for mass in np.exp(estimate.candidates.log_mass)]
+                labels = [f"{mass:.2f}" for mass in estimate.candidates.weights]
                 points = estimate.candidates.positions_xyz
                 entities["world/candidates"] = rr.Points3D(points, radii=0.02, colors=_CANDIDATE, labels=labels)
             if truth is not None:

@@ -20,7 +20,7 @@ from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
 from conformodal.core.words import as_utf8
 from conformodal.geometry import Trajectory
-from conformodal.localizer.candidates import Candidates, weights_of
+from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.pipeline.estimates import Estimate
 
@@ -151,14 +151,17 @@ class Conversion:
         orientation = self.make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw)
         return self.make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
 
-    def poses(self, of: Trajectory | Candidates) -> list[Any]:
+    def poses(self, of: Trajectory | PoseMixture) -> list[Any]:
         """Messages of poses."""
         return [self.pose(*pair) for pair in zip(of.positions_xyz, of.orientations_quat_wxyz, strict=True)]
 
     def _pose(self, estimate: Estimate, header: Any) -> Any:
         pose, covariance = self.pose(), np.eye(6) * _LOST_VARIANCE
         if not is_lost(estimate) and estimate.pose is not None and estimate.covariance is not None:
-            pose, covariance = self.poses(estimate.pose)[0], estimate.covariance
+            pose, covariance = (
+                self.pose(estimate.pose.position_xyz, estimate.pose.orientation_quat_wxyz),
+                estimate.covariance,
+            )
         inner = self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())
         return self.make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header, pose=inner)
 
@@ -166,7 +169,7 @@ class Conversion:
         """Candidate poses, most probable first, and their weights in the same order."""
         poses, weights = list[Any](), array("d")
         if not is_lost(estimate) and estimate.candidates is not None:
-            poses, weights = self.poses(estimate.candidates), array("d", weights_of(estimate.candidates).tolist())
+            poses, weights = self.poses(estimate.candidates), array("d", estimate.candidates.weights.tolist())
         axis = self.make("std_msgs/msg/MultiArrayDimension", label="candidate", size=len(poses), stride=len(poses))
         layout = self.make("std_msgs/msg/MultiArrayLayout", dim=[axis])
         return {
@@ -195,7 +198,7 @@ class Conversion:
         """Boxes (3, 2) of a region's positions in metres, each with its probability; none of a lost frame."""
         if is_lost(estimate) or region is None or estimate.pose is None:
             return []
-        here = estimate.pose.positions_xyz[0][:, None]
+        here = estimate.pose.position_xyz[:, None]
         places = [(place.box, place.probability) for place in region.places(0)[:_MAX_BOXES]]
         near = here - _RANGE_M, here + _RANGE_M
         return [(np.clip(box[:3], *near), float(probability)) for box, probability in places if box is not None]
@@ -227,7 +230,7 @@ class Conversion:
         if is_lost(estimate):
             self._lost.append(estimate.timestamp_s)
         due = self._n_answered % _PATH_EVERY == 0
-        revised = (estimate.revised if due else None) or estimate.pose  # hindsight takes time
+        revised = (estimate.revised if due else None) or estimate.pose.at(estimate.timestamp_s)  # hindsight takes time
         first = float(revised.timestamps_s[0])
         while self._path and self._path[-1][0] >= first:
             self._path.pop()

@@ -8,8 +8,8 @@ import pytest
 from conformodal.features.local import extract_local_features
 from conformodal.geometry import Trajectory, sign_reference
 from conformodal.io import make_split
-from conformodal.localizer.candidates import pose_targets
 from conformodal.localizer.sources.landmarks import LandmarkSource
+from conformodal.localizer.targets import pose_targets
 from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.depths import SceneDepth, track_depth
 
