@@ -5,6 +5,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.features.local import LocalFeatures
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.geometry.map_poses import ROUNDS
+from conformodal.geometry.triangulation import triangulate
 from conformodal.localizer.sources import mapping
 from conformodal.localizer.sources.landmark_map import MIN_INLIERS, LandmarkMap
 from tests.localizer.sources.conftest import CAMERA, DEPTH, make_world, poses_along
@@ -94,6 +95,28 @@ def test_a_map_is_adjusted_where_the_given_poses_have_errors_of_their_own(
     assert (np.median(off[ROUNDS], axis=0) < (0.8, 0.95) * np.median(off[0], axis=0)).all()
     true = (world.poses_se3 - given)[:, :3, 3]
     assert np.corrcoef(landmarks.corrections[:, :3].ravel(), true.ravel())[0, 1] > 0.6
+
+
+def test_weaker_corners_are_triangulated_where_landmarks_are_too_few(world_of, stated_camera, depth_m, monkeypatch):
+    world = world_of(n=20)
+    images = world.local_features(wrong=0.2)
+    images[3] = images[3]._replace(pixels=images[3].pixels[:0], descriptors=images[3].descriptors[:0])
+    given, triangulated = {}, {}
+    for first in (40, 10_000):
+        monkeypatch.setattr(mapping, "_MAX_LANDMARKS", 30)
+        monkeypatch.setattr(mapping, "_TRIED_FIRST", first)
+        triangulated[first] = []
+
+        def counted(rays, tolerance, asked=triangulated[first]):
+            asked.append(len(rays.first))
+            return triangulate(rays, tolerance)
+
+        monkeypatch.setattr(mapping, "triangulate", counted)
+        given[first] = LandmarkMap.build(images, world.poses_se3, stated_camera, depth_m)
+    np.testing.assert_array_equal(given[40].points_xyz, given[10_000].points_xyz)
+    np.testing.assert_array_equal(given[40].starts, given[10_000].starts)
+    assert np.diff(given[40].starts)[3] == 0
+    assert sum(triangulated[40]) < sum(triangulated[10_000])
 
 
 def test_hidden_keyframes_do_not_help(mapped):

@@ -30,6 +30,7 @@ from conformodal.geometry.map_poses import (
 from conformodal.geometry.triangulation import Points, Rays, triangulate
 
 _MAX_LANDMARKS = 300  # of a frame
+_TRIED_FIRST = 450  # strongest corners of a frame; the others are triangulated where these give too few landmarks
 _MAX_TRACKED = 200  # corners of a frame that are triangulated to adjust poses: those that most frames see
 _FRAMES_AT_A_TIME = 32  # that are triangulated
 _PARTNERS = 10  # frames in which a frame's corners are sought; pairs serve both
@@ -125,17 +126,16 @@ class _Triangulation:
         """Tracks that adjust poses."""
 
         def sightings(few: range) -> InlierRays:
-            rays = self._rays(few, current, _MAX_TRACKED)
+            rays = self._rays(current, [(i, self._most_seen(i)) for i in few])
             return inlier_rays(rays, triangulate(rays, _tolerance(current)), _tolerance(current))
 
         return choose_tracks(in_threads(sightings, self._chunks), len(self._features))
 
     def triangulated(self, current: MapPoses, poses_se3: FloatArray) -> TriangulatedFrames:
         """The landmarks of the frames, whose given poses are `poses_se3` (m, 4, 4)."""
-        most = max(len(one.pixels) for one in self._features)
 
         def landmarks(few: range) -> Points:
-            return triangulate(self._rays(few, current, most), _tolerance(current))
+            return self._strongest(few, current)
 
         points = Points(*map(np.concatenate, zip(*in_threads(landmarks, self._chunks), strict=True)))
         starts = self._before[self._first :] - self._before[self._first]
@@ -148,8 +148,48 @@ class _Triangulation:
             corrections=replace(current, poses_cam=current.poses_cam[self._first :]).corrections(poses_se3),
         )
 
-    def _rays(self, few: range, current: MapPoses, most: int) -> Rays:
-        return _rays(few, self._pairs, self._features, current, self._before, most)
+    def _strongest(self, few: range, current: MapPoses) -> Points:
+        """Points of all corners of some frames; none of those that are weaker than the landmarks which are kept."""
+        counts = [len(self._features[i].pixels) for i in few]
+        points = Points(np.full((sum(counts), 3), np.nan), np.zeros(sum(counts), dtype=np.bool_))
+        starts = np.concatenate(([0], np.cumsum(counts)))
+        short = dict.fromkeys(range(len(few)), 0)  # frames, and the first corner that was not tried
+        for end in (_TRIED_FIRST, max(counts)):
+            rows = [(k, np.arange(first, min(end, counts[k]))) for k, first in short.items() if first < counts[k]]
+            if rows:
+                found = triangulate(self._rays(current, [(few[k], at) for k, at in rows]), _tolerance(current))
+                at = np.concatenate([starts[k] + at for k, at in rows])
+                points.xyz[at], points.reliable[at] = found
+            n_reliable = np.diff(np.concatenate(([0], np.cumsum(points.reliable)))[starts])
+            short = {k: end for k in short if n_reliable[k] < _MAX_LANDMARKS}
+        return points
+
+    def _most_seen(self, i: int) -> IntArray:
+        """The corners of a frame that most others see, in order."""
+        corners = np.concatenate([np.empty(0, np.int64), *(pair[:, 0] for _, pair in self._pairs[i])])
+        often = np.bincount(corners, minlength=len(self._features[i].pixels))
+        return np.sort(np.argsort(-often, kind="stable")[:_MAX_TRACKED])
+
+    def _rays(self, current: MapPoses, chosen: Sequence[tuple[int, IntArray]]) -> Rays:
+        """Rays of some corners of some frames."""
+        corners, cameras, pixels, others, before = [], [], [], [], 0
+        for i, rows in chosen:
+            n = len(self._features[i].pixels)
+            place = np.full(n, -1)
+            place[rows] = before + np.arange(len(rows))
+            before += len(rows)
+            for j, every in [(i, np.tile(np.arange(n)[:, None], 2)), *self._pairs[i]]:
+                pair = every[place[every[:, 0]] >= 0]
+                corners.append(place[pair[:, 0]])
+                cameras.append(np.full(len(pair), j))
+                pixels.append(self._features[j].pixels[pair[:, 1]])
+                others.append(self._before[j] + pair[:, 1])
+        corner = np.concatenate(corners)
+        order = np.argsort(corner, kind="stable")  # the corner's own frame stays first
+        plane = current.mounted.camera.on_plane(np.concatenate(pixels)[order])
+        camera_of, ray_number = np.concatenate(cameras)[order], np.concatenate(others)[order]
+        poses_cam = current.poses_cam
+        return Rays(corner[order], ray_number, camera_of, plane, poses_cam[:, :3, :3], poses_cam[:, :3, 3])
 
 
 def _first_of_frames(reliable: BoolArray, starts: IntArray) -> BoolArray:
@@ -230,38 +270,3 @@ def _tolerance(current: MapPoses) -> float:
     """Radians by which a ray may miss a landmark."""
     camera = current.mounted.camera
     return 2 * _TOLERANCE_PX / (camera.fx + camera.fy)
-
-
-def _rays(
-    frames: range,
-    pairs: Sequence[Sequence[tuple[int, IntArray]]],
-    features: Sequence[LocalFeatures],
-    current: MapPoses,
-    numbers: IntArray,
-    most: int,
-) -> Rays:
-    """Rays of the corners of some frames, at most so many a frame, those that most frames see.
-
-    `numbers` are those of first corners.
-    """
-    corners, cameras, pixels, others, before = [], [], [], [], 0
-    for i in frames:
-        n = len(features[i].pixels)
-        views = [(i, np.tile(np.arange(n)[:, None], 2)), *pairs[i]]
-        corner = np.concatenate([pair[:, 0] for _, pair in views])
-        often = np.argsort(-np.bincount(corner, minlength=n), kind="stable")[:most]
-        place = np.full(n, -1)
-        place[np.sort(often)] = before + np.arange(len(often))
-        before += len(often)
-        for j, every in views:
-            pair = every[place[every[:, 0]] >= 0]
-            corners.append(place[pair[:, 0]])
-            cameras.append(np.full(len(pair), j))
-            pixels.append(features[j].pixels[pair[:, 1]])
-            others.append(numbers[j] + pair[:, 1])
-    corner = np.concatenate(corners)
-    order = np.argsort(corner, kind="stable")  # the corner's own frame stays first
-    plane = current.mounted.camera.on_plane(np.concatenate(pixels)[order])
-    camera_of, ray_number = np.concatenate(cameras)[order], np.concatenate(others)[order]
-    poses_cam = current.poses_cam
-    return Rays(corner[order], ray_number, camera_of, plane, poses_cam[:, :3, :3], poses_cam[:, :3, 3])
