@@ -26,8 +26,8 @@ from scipy.spatial import KDTree
 from conformodal.conformal import conformal_quantile, conformal_rank, hierarchical_quantile
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.features.extract import FeatureCache
+from conformodal.geometry import pose_targets
 from conformodal.io import DatasetWarning, Recording, read_recording
-from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.extend import extend_model

@@ -28,10 +28,10 @@ from stream_row import peak_mb
 from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.corridor import write_corridor
 from conformodal.features.extract import FeatureCache
+from conformodal.geometry import pose_targets
 from conformodal.io import Recording, read_recording
 from conformodal.io.recording import join_recordings
 from conformodal.localizer.regions import PoseRegions
-from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.model import ONLINE

@@ -21,10 +21,9 @@ from worlds import ALPHA, CACHE, DESK, RPY, XYZ, frame_by_frame, slug, summary
 
 from conformodal.core.arrays import FloatArray
 from conformodal.corridor import write_corridor
-from conformodal.geometry import Trajectory, poses_at
+from conformodal.geometry import Trajectory, pose_targets, poses_at
 from conformodal.geometry.metrics import Similarity, umeyama
 from conformodal.io import Recording, read_recording
-from conformodal.localizer.targets import pose_targets
 from conformodal.mapping import MapError, build_map
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import odometry_of

@@ -33,9 +33,9 @@ from worlds import ALPHA, CACHE, N_LAPS, N_MODULES, TRAINING
 
 from conformodal.corridor import CorridorWorld, Renderer, drone_path, write_corridor, write_flight
 from conformodal.features.extract import FeatureCache
+from conformodal.geometry import pose_targets
 from conformodal.io import PixelNoise, Recording, SplitKind, read_image, read_recording
 from conformodal.localizer.regions import LEVEL_STRETCHES
-from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import Calibration, ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.model import PoseModel

@@ -15,11 +15,10 @@ from scipy.spatial.transform import Rotation
 from conformodal.corridor import CorridorWorld, Renderer, drone_path, write_corridor, write_flight
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
-from conformodal.geometry import Trajectory
+from conformodal.geometry import Trajectory, pose_targets
 from conformodal.io import Recording, read_recording
 from conformodal.io.recording import join_recordings
 from conformodal.localizer.observations import same_place
-from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.estimator import odometry_of

@@ -19,9 +19,9 @@ from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.features.backbone import feature_views
 from conformodal.features.head import Head, Loss, fit_head, mean_squared_error
 from conformodal.features.settings import TrainingConfig
+from conformodal.geometry import TARGET_NAMES
 from conformodal.io import held_out_together
 from conformodal.localizer.sources.neighbours import LocalSettings, fit_local
-from conformodal.localizer.targets import TARGET_NAMES
 from conformodal.localizer.training_data import TrainingData
 from conformodal.pipeline.plain import known_frames
 

@@ -21,10 +21,10 @@ from conformodal.cli.sources import Cache, DataLayout
 from conformodal.core.arrays import FloatArray
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.settings import TrainingConfig
+from conformodal.geometry import pose_targets
 from conformodal.io import Layout, Recording, SplitKind
 from conformodal.io.decoding import grey_image
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import Method, ModelConfig
 from conformodal.pipeline.estimator import odometry_of
 from conformodal.pipeline.provenance import provenance

@@ -16,14 +16,13 @@ from scipy.stats import spearmanr
 from conformodal.conformal import QuantileBins, Regions, SplitConformal
 from conformodal.core.arrays import FloatArray, rows_by_label
 from conformodal.features.extract import FeatureCache, extract_features
-from conformodal.geometry import Trajectory, concatenate, normalise_quat
+from conformodal.geometry import Trajectory, concatenate, normalise_quat, pose_targets
 from conformodal.io import PixelNoise, Recording
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import hindsight_posteriors
 from conformodal.localizer.fusion import fuse
 from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.modes import Probabilities, interval_runs
-from conformodal.localizer.targets import pose_targets
 from conformodal.localizer.training_data import TrainingData
 from conformodal.pipeline.config import Method
 from conformodal.pipeline.estimates import OdometryRun

@@ -8,11 +8,11 @@ from conformodal.conformal import coverage_band
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.local import extract_local_features
 from conformodal.features.settings import TrainingConfig
+from conformodal.geometry import pose_targets
 from conformodal.io import Disturbance, read_recording
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import start
 from conformodal.localizer.regions import EvidenceType
-from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import ModelConfig, OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.evaluate import RegionStatistics, coverage_table

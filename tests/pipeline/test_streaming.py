@@ -11,12 +11,12 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
+from conformodal.geometry import pose_targets
 from conformodal.io import read_recording
 from conformodal.io.streams.frames import Frame, RecordingStream, SourceError
 from conformodal.localizer.filter import filter_posteriors
 from conformodal.localizer.observations import choose_places
 from conformodal.localizer.regions import EvidenceType
-from conformodal.localizer.targets import pose_targets
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.results import ResultsWriter, read_region_records, read_trajectories, records_hold

@@ -15,13 +15,12 @@ import typer
 from conformodal.core.arrays import FloatArray
 from conformodal.core.files import write_whole
 from conformodal.core.words import counted, noun_for
-from conformodal.geometry import Alignment, Trajectory, align, poses_at, relative_errors
+from conformodal.geometry import TARGET_NAMES, Alignment, Trajectory, align, poses_at, relative_errors
 from conformodal.geometry.metrics import MAX_GAP_S, orientation_errors_deg, position_errors_m, straightness
 from conformodal.io import Layout
 from conformodal.io.diagnosis.clocks import clock_hint, describe_time_offset
 from conformodal.io.diagnosis.trajectories import doubt_truth
 from conformodal.io.folders import writing_in
-from conformodal.localizer.targets import TARGET_NAMES
 from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.evaluate import bounded_coverage, coverage_by_room, error_table
 from conformodal.pipeline.provenance import provenance

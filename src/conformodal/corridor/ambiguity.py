@@ -8,9 +8,8 @@ import numpy as np
 
 from conformodal.core.arrays import FloatArray
 from conformodal.core.progress import Progress
-from conformodal.geometry import Trajectory
+from conformodal.geometry import Trajectory, pose_targets
 from conformodal.localizer.regions import PoseRegions
-from conformodal.localizer.targets import pose_targets
 
 from .render import CAMERA_NOISE_LEVELS, Renderer
 

@@ -14,6 +14,7 @@ from .metrics import (
     trajectory_errors,
 )
 from .poses import (
+    TARGET_NAMES,
     MotionStatus,
     Pose,
     PoseError,
@@ -26,6 +27,7 @@ from .poses import (
     fix_sign,
     matrix_from_quat_wxyz,
     normalise_quat,
+    pose_targets,
     rigid_motions,
     sign_reference,
 )

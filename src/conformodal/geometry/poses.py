@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 from conformodal.core.errors import ConformodalError
 
+TARGET_NAMES = ("x", "y", "z", "q_w", "q_x", "q_y", "q_z")  # of a pose: position, and quaternion
 # Ground truth written with seven digits is orthonormal to about 1e-6; hand-made files are worse.
 _ORTHONORMAL_TOLERANCE = 1e-3
 
@@ -198,6 +199,11 @@ def concatenate(parts: Sequence[Trajectory]) -> Trajectory:
         np.concatenate([part.positions_xyz for part in parts]),
         np.concatenate([part.orientations_quat_wxyz for part in parts]),
     )
+
+
+def pose_targets(poses: Trajectory, sign_reference: FloatArray) -> FloatArray:
+    """Targets (n, 7) of poses: metres, then the quaternion with the sign that `sign_reference` (4,) gives it."""
+    return np.column_stack((poses.positions_xyz, fix_sign(poses.orientations_quat_wxyz, sign_reference)))
 
 
 class MotionStatus(StrEnum):

@@ -209,7 +209,7 @@ class Localizer:
             ask(source, np.flatnonzero(np.isinf(sigma_m) if evidence.busy else useful))
         in_order = [measurements[source.name] for source in self.sources if source.name in measurements]
         proba, told = self._density(densities, n), sorted({i for rows, _ in densities for i in rows.tolist()})
-        modes = dict(zip(told, mode_mixtures([p[told] for p in proba], self.bins), strict=True))
+        modes = dict(zip(told, mode_mixtures([p[told] for p in proba], self.bins), strict=True)) if told else {}
         mixtures = [fuse(modes.get(i, self._anywhere), [answer[i] for answer in in_order]) for i in range(n)]
         return Beliefs(proba, mixtures, estimates)
 

@@ -61,7 +61,7 @@ class TrainingData:
     sequence: Recording  # with poses
     split: Split
     features: Float32Array  # (n, F) of all frames
-    targets: FloatArray  # (n, 7), see conformodal.localizer.targets.pose_targets
+    targets: FloatArray  # (n, 7), see conformodal.geometry.pose_targets
     sign_reference: FloatArray  # (4,) quaternion that fixes the signs of quaternions
     backbone: Backbone | None = None  # that the features are of; None where they come from elsewhere
     cache: FeatureCache = field(default_factory=lambda: FeatureCache(None))  # of features

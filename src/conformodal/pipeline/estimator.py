@@ -11,7 +11,7 @@ import numpy as np
 
 from conformodal.core.arrays import Float32Array, FloatArray, UInt8Array
 from conformodal.features.local import LocalFeatures, extract_local_features
-from conformodal.geometry import Pose, RelativeMotion, Trajectory
+from conformodal.geometry import Pose, RelativeMotion, Trajectory, pose_targets
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.io.decoding import grey_image
 from conformodal.localizer.carrying import CarrySettings, FeatureStream, FrameLook, StreamFrame
@@ -19,7 +19,6 @@ from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import PoseFilter, Window, hindsight_posteriors
 from conformodal.localizer.observations import MotionPrior, choose_places, find_places
 from conformodal.localizer.regions import EvidenceType, PoseRegions
-from conformodal.localizer.targets import pose_targets
 from conformodal.tracking.tracker import MotionFrontEnd, affine_flow
 
 from .config import Method, OdometryError

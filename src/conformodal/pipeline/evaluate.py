@@ -10,11 +10,10 @@ import numpy as np
 from conformodal.conformal import grouped_coverage_band
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, Rows
 from conformodal.core.words import finite_or_none
-from conformodal.geometry import Trajectory, trajectory_errors
+from conformodal.geometry import TARGET_NAMES, Trajectory, pose_targets, trajectory_errors
 from conformodal.localizer.observations import same_place
 from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.localizer.rooms import weighs_enough
-from conformodal.localizer.targets import TARGET_NAMES, pose_targets
 
 from .guarantee import describe_guarantee
 from .model import ONLINE, PoseModel

@@ -22,7 +22,7 @@ from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.words import counted
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.local import LocalFeatures
-from conformodal.geometry import RelativeMotion, concatenate, trajectory_errors
+from conformodal.geometry import RelativeMotion, concatenate, pose_targets, trajectory_errors
 from conformodal.io import Recording, Split
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import hindsight_posteriors
@@ -30,7 +30,6 @@ from conformodal.localizer.observations import Observations, Posterior
 from conformodal.localizer.regions import PlaceNovelty, RegionRules
 from conformodal.localizer.rooms import Rooms
 from conformodal.localizer.sources.growing import GrowsWithFrames
-from conformodal.localizer.targets import pose_targets
 from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.depths import SceneDepth
 

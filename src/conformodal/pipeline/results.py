@@ -18,12 +18,11 @@ from conformodal.conformal import ConformodalError
 from conformodal.core.arrays import BoolArray, FloatArray
 from conformodal.core.files import read_file, write_whole
 from conformodal.core.words import finite_or_none
-from conformodal.geometry import Trajectory
+from conformodal.geometry import TARGET_NAMES, Trajectory, pose_targets
 from conformodal.io.folders import FolderError, writing_in
 from conformodal.io.pose_files import TUM_HEADER, read_tum, tum_lines
 from conformodal.localizer.observations import Place
 from conformodal.localizer.regions import EvidenceType, PoseRegions, boxes_hold
-from conformodal.localizer.targets import TARGET_NAMES, pose_targets
 
 from .config import Method
 from .estimates import Estimate

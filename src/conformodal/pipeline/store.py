@@ -31,7 +31,7 @@ from conformodal.core.schema import ArraySpec, ListOf, check_arrays, check_json
 from conformodal.core.words import describe_format, finite_or_none
 from conformodal.features.backbone import Backbone, BackboneConfig
 from conformodal.features.local import DETECTORS, Detector, QualityRange
-from conformodal.geometry import PinholeCamera
+from conformodal.geometry import TARGET_NAMES, PinholeCamera
 from conformodal.geometry.camera import CAMERA_JSON
 from conformodal.io import Split, SplitKind
 from conformodal.localizer.localizer import Localizer
@@ -39,7 +39,6 @@ from conformodal.localizer.observations import MotionPrior
 from conformodal.localizer.regions import PlaceNovelty, RegionRules
 from conformodal.localizer.rooms import Rooms
 from conformodal.localizer.sources.registry import SourceState, find_source
-from conformodal.localizer.targets import TARGET_NAMES
 
 from .config import Method
 from .identity import FrameIdentities

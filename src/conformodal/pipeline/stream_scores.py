@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from conformodal.core.arrays import IntArray
-from conformodal.geometry import Trajectory, concatenate
+from conformodal.geometry import Trajectory, concatenate, pose_targets
 from conformodal.io.streams.frames import Frame
 from conformodal.localizer.regions import PoseRegions
-from conformodal.localizer.targets import pose_targets
 
 from .config import Method
 from .estimates import Estimate

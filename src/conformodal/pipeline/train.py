@@ -11,7 +11,7 @@ from conformodal.core.files import default_cache_dir
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.features.networks import backbone_config, make_backbone, make_detector
-from conformodal.geometry import sign_reference
+from conformodal.geometry import pose_targets, sign_reference
 from conformodal.io import Recording, make_split, with_random_calibration
 from conformodal.io.recording import join_recordings
 from conformodal.localizer.localizer import Localizer
@@ -19,7 +19,6 @@ from conformodal.localizer.observations import fit_motion_prior
 from conformodal.localizer.regions import PlaceNovelty
 from conformodal.localizer.rooms import Rooms
 from conformodal.localizer.sources.registry import find_source
-from conformodal.localizer.targets import pose_targets
 from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.depths import UNKNOWN_DEPTH, scene_depth
 

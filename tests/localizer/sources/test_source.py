@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from conformodal.features.local import extract_local_features
-from conformodal.geometry import Trajectory, sign_reference
+from conformodal.geometry import Trajectory, pose_targets, sign_reference
 from conformodal.io import make_split
 from conformodal.localizer.sources.landmarks import LandmarkSource
-from conformodal.localizer.targets import pose_targets
 from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.depths import SceneDepth, track_depth
 
