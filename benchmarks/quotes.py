@@ -1,10 +1,10 @@
-"""Numbers that pages quote, each with a mark that names the cell of a table it is from.
+"""Write the pages that quote tables, from templates in benchmarks/pages.
 
-python benchmarks/quotes.py [--write]     # check, or fill in the numbers of today's tables
+python benchmarks/quotes.py [--write]     # check that README and docs are current, or write them
 
-A mark is ``<!-- = recordings.md : fr1_xyz from fr1_desk; ours; online; rmse_m -->`` after the number: the table,
-cells of its row, and the column; ``column #2`` is the second number of the cell. Of rows with these cells the first
-counts. ``one column + another`` are of the last two numbers before the mark.
+A template has the path of its page. ``{{ recordings.md; fr1_xyz from fr1_desk; ours; online; rmse_m; .4f }}`` in it
+names a table of benchmarks/results, cells of its row (or other columns, where several tables have such a row), the
+column, and the format; ``column #2`` is the second number of the cell. Of rows with these cells the first counts.
 """
 
 from __future__ import annotations
@@ -16,18 +16,10 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCS = ROOT / "docs"
-PAGES = (
-    ROOT / "README.md",
-    DOCS / "results.md",
-    DOCS / "paper.md",
-    DOCS / "decisions" / "scores.md",
-    DOCS / "decisions" / "table-learners.md",
-    DOCS / "howto" / "groups-and-shift.md",
-)
+TEMPLATES = ROOT / "benchmarks" / "pages"
 NUMBER = re.compile(r"(?<![\w.,-])\d+(?:\.\d+)?(?![\w.]*\w)")
 DECIMAL = re.compile(r"-?\d+(?:\.\d+)?")
-MARK = re.compile(r"<!-- = (?P<table>[\w/]+\.md) : (?P<cells>[^>]*?) -->")
+QUOTE = re.compile(r"\{\{ (?P<table>[\w/]+\.md); (?P<cells>[^{}]*); (?P<format>\.\df) \}\}")
 NOT_QUOTED = re.compile(r"```.*?```|`[^`\n]*`|\]\([^)]*\)|^#[^\n]*", re.DOTALL | re.MULTILINE)
 
 
@@ -46,40 +38,39 @@ def rows_of(table: str) -> list[dict[str, str]]:
     return rows
 
 
-def cells_of(mark: re.Match[str]) -> list[float]:
-    """The numbers that a mark names; LookupError if there are none."""
-    *cells, columns = (part.strip() for part in mark["cells"].split("; "))
-    names = [column.partition(" #")[::2] for column in columns.split(" + ")]
-    for row in rows_of(mark["table"]):
-        if all(name in row for name, _ in names) and all(cell in row.values() for cell in cells):
-            return [float(DECIMAL.findall(row[name])[int(place or 1) - 1]) for name, place in names]
-    raise LookupError(f"{mark['table']} has no row with {cells} and columns {columns!r}")
+def quoted(quote: re.Match[str]) -> str:
+    """The number that a quote names; LookupError if there is none."""
+    *cells, column = quote["cells"].split("; ")
+    name, _, place = column.partition(" #")
+    for row in rows_of(quote["table"]):
+        if name in row and all(cell in row.values() or cell in row for cell in cells):
+            return f"{float(DECIMAL.findall(row[name])[int(place or 1) - 1]):{quote['format']}}"
+    raise LookupError(f"{quote['table']} has no row with {cells} and the column {column!r}")
 
 
-def checked(page: Path) -> tuple[str, list[str]]:
-    """The page with the numbers of the tables, and what was wrong with it."""
-    text, wrong, quoted = page.read_text(encoding="utf-8"), [], []
-    for mark in MARK.finditer(text):
-        line = text.rfind("\n", 0, mark.start()) + 1
-        before = list(NUMBER.finditer(text, line, mark.start()))
+def templates() -> list[Path]:
+    """Those of all pages."""
+    return sorted(TEMPLATES.rglob("*.md"))
+
+
+def page_of(template: Path) -> Path:
+    """The page that is written from a template."""
+    return ROOT / template.relative_to(TEMPLATES)
+
+
+def faults(text: str) -> list[str]:
+    """Quotes of a template without a number, and measured numbers that are not quoted."""
+    wrong = []
+    for quote in QUOTE.finditer(text):
         try:
-            cells = cells_of(mark)
+            quoted(quote)
         except (LookupError, OSError) as exc:
-            wrong.append(f"{page.name}: {mark[0]}: {exc}")
-            continue
-        for number, cell in zip(before[-len(cells) :], cells, strict=True):
-            value = f"{cell:.{len(number[0].partition('.')[2])}f}"
-            quoted.append((number.span(), value))
-            if value != number[0]:
-                wrong.append(f"{page.name}: {number[0]} where {mark['table']} has {value} ({mark['cells']})")
-    bare = text
-    for (start, end), value in reversed(quoted):
-        bare = bare[:start] + " " * (end - start) + bare[end:]
-        text = text[:start] + value + text[end:]
-    bare = bare.partition("## Results")[2] or bare
-    bare = NOT_QUOTED.sub("", MARK.sub("", bare))
+            wrong.append(f"{quote[0]}: {exc}")
+    bare = QUOTE.sub("", text)
+    wrong += [f"{quote}: is not a quote" for quote in re.findall(r"\{\{.*?\}\}", bare)]
+    bare = NOT_QUOTED.sub("", bare.partition("## Results")[2] or bare)
     measured = [number for number in NUMBER.findall(bare) if len(number.partition(".")[2]) >= 2]
-    return text, wrong + [f"{page.name}: {number} has no mark" for number in measured]
+    return wrong + [f"{number} is not quoted from a table" for number in measured]
 
 
 def stale_tables() -> list[str]:
@@ -89,7 +80,7 @@ def stale_tables() -> list[str]:
     revisions = {revision for named in sources.values() for revision in named}
     if len(revisions) != 1:
         return [f"{name}: of source {', '.join(named) or 'unknown'}" for name, named in sources.items()]
-    parts = ("src", "benchmarks", ":(exclude)benchmarks/results")
+    parts = ("src", "benchmarks", ":(exclude)benchmarks/results", ":(exclude)benchmarks/pages")
     command = ["git", "diff", "--name-only", revisions.pop(), "--", *parts]
     changed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
     return [f"{name}: changed since the tables were measured" for name in changed]
@@ -97,14 +88,22 @@ def stale_tables() -> list[str]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--write", action="store_true", help="fill in the numbers")
+    parser.add_argument("--write", action="store_true", help="write the pages")
     parser.add_argument("--release", action="store_true", help="check too that all tables are of today's source")
     options = parser.parse_args()
     wrong = stale_tables() if options.release else []
-    for page in PAGES:
+    for template in templates():
+        page, text = page_of(template), template.read_text(encoding="utf-8")
+        of_template = [f"{template.relative_to(ROOT)}: {fault}" for fault in faults(text)]
+        wrong += of_template
+        if of_template:
+            continue
+        written = QUOTE.sub(quoted, text)
         if options.write:
-            page.write_text(checked(page)[0], encoding="utf-8")
-        wrong += checked(page)[1]
+            page.write_text(written, encoding="utf-8")
+        elif not page.is_file() or page.read_text(encoding="utf-8") != written:
+            name = page.relative_to(ROOT)
+            wrong.append(f"{name}: is not what {template.relative_to(ROOT)} gives: run benchmarks/quotes.py --write")
     sys.stdout.writelines(f"{line}\n" for line in wrong)
     return int(bool(wrong))
 
