@@ -106,8 +106,8 @@ def test_only_sources_that_look_at_local_features_recognise_places_and_others_ar
         np.testing.assert_array_equal(p, np.concatenate((q, np.full_like(q, 1 / q.size))))
 
 
-@pytest.mark.parametrize(("sigma_m", "asked"), [(0.06, False), (0.1, True)])
-def test_another_source_is_asked_beside_a_recognised_place_if_it_can_be_a_third_as_precise(bins, sigma_m, asked):
+@pytest.mark.parametrize(("sigma_m", "asked"), [(0.12, False), (0.14, True)])
+def test_another_source_is_asked_beside_a_recognised_place_if_it_may_be_two_thirds_as_precise(bins, sigma_m, asked):
     recognised = replace(estimate(4.0, 0.95), sigma_m=sigma_m)
     other = replace(estimate(4.1, 0.8), sigma_m=0.2)
     sources = told(Precise, measurements=[[other]]), told(Local, measurements=[[recognised]])
