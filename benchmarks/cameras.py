@@ -1,6 +1,6 @@
 """Cameras: errors and regions, what each part contributes, disturbed images, and coverage where regions are large.
 
-python benchmarks/cameras.py [--seeds 30 31 32] [--worlds ...] [--workers 2]
+python benchmarks/cameras.py [--seeds 40 41 42] [--worlds ...] [--workers 2]
 """
 
 from __future__ import annotations

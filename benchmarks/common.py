@@ -31,7 +31,7 @@ DATA = Path(os.environ.get("CONFORMODAL_DATA", ROOT.parent / "shared" / "data"))
 REDKITCHEN = DATA / "7scenes" / "redkitchen" / "seq-01"
 RESULTS = Path(__file__).parent / "results"
 sys.path.insert(0, str(ROOT))  # the package experiments
-SEEDS = (30, 31, 32)  # settings were chosen on 10 to 29
+SEEDS = (40, 41, 42)  # settings were chosen on 10 to 29; 30 to 34 have been looked at
 MIN_MISSED = 10  # rows that a classifier of misses needs
 UNLIMITED = 1e6  # radians and metres per second
 

@@ -1,6 +1,6 @@
 """What a room costs, and how exactly it is localised, alone and beside other rooms in one world.
 
-python benchmarks/growth.py [--seeds 30] [--rooms 1 2 4 8]
+python benchmarks/growth.py [--seeds 40] [--rooms 1 2 4 8]
 
 The first room is redkitchen, the second fr1_desk with fr1_xyz, the others are rendered corridors with textures of their
 own, all brought to one camera and 20 m apart. Each world is a process of its own, on an empty cache; numbers are kept.
@@ -124,7 +124,7 @@ def draw(rooms: list[int], results: list[dict[str, Any]]) -> None:
 
 
 def main() -> None:
-    parser = parser_with_seeds(__doc__, seeds=(30,))
+    parser = parser_with_seeds(__doc__, seeds=(40,))
     parser.add_argument("--rooms", type=int, nargs="+", default=[1, 2, 4, 8])
     parser.add_argument("--row", action="store_true", help="measure one world in this process")
     parser.add_argument("--train", action="store_true", help="with --row: train alone")

@@ -1,6 +1,6 @@
 """Map one recording, answer another: TUM freiburg1, from fr1_desk to fr1_xyz and back, beside pycolmap.
 
-python benchmarks/recordings.py [--seed 30]     # also draws the picture of README
+python benchmarks/recordings.py [--seed 40]     # also draws the picture of README
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What a model says where it has not been: new parts of a scene, other scenes, disturbed images, moved furniture.
 
-python benchmarks/unseen.py [--seed 30]     # also draws redkitchen `blocks`
+python benchmarks/unseen.py [--seed 40]     # also draws redkitchen `blocks`
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 pip install --no-deps -r benchmarks/peers/requirements.txt
 python benchmarks/peers/run.py                     # the table of the runs that are there
 python benchmarks/peers/run.py --measure           # first make the runs that are not; every finished one is kept
-python benchmarks/peers/run.py --measure --methods r2ccp --seeds 30 --tables concrete
+python benchmarks/peers/run.py --measure --methods r2ccp --seeds 40 --tables concrete
 """
 
 from __future__ import annotations
