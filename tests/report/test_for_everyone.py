@@ -18,6 +18,17 @@ METRICS = {
     "configuration": {"data": "/a/folder/with-a-name-that-is-so-long-that-it-has-to-be-broken-somewhere/in/the/middle"},
     "n_answered": 60,
     "split_note": "all frames.",
+    "journal": [
+        {
+            "name": "tuesday",
+            "date": "2026-01-02",
+            "n_frames": 50,
+            "coverage": 0.94,
+            "bounded": 0.9,
+            "reliable": 0.88,
+            "median_m": 0.012,
+        }
+    ],
     "errors": {"smoothed": ROW, "classical": ROW},
     "coverage": {
         "unbounded": True,

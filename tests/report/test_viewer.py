@@ -13,6 +13,12 @@ from conformodal.report.page import write_page
 from conformodal.report.viewer import Surroundings, make_viewer
 from tests.helpers import region_record
 
+JOURNAL = [
+    {"name": "tuesday", "date": "2026-01-02", "n_frames": 50, "coverage": 0.94, "bounded": 0.9, "reliable": 0.88,
+     "median_m": 0.012},
+    {"name": "<b>wednesday", "date": "2026-01-03", "n_frames": 51, "coverage": 0.7, "bounded": 1.0, "reliable": 0.5,
+     "median_m": 0.3},
+]  # fmt: skip
 METRICS = {"provenance": {}, "configuration": {}, "n_answered": 60, "split_note": "all frames."}
 
 
@@ -36,6 +42,18 @@ def ink(page, canvas):
         }""",
         canvas,
     )
+
+
+def test_the_page_shows_how_each_recording_was_answered_before_it_joined(make_run, tmp_path):
+    viewer, metrics = make_viewer(*make_run()), METRICS | {"configuration": {"alpha": 0.2}, "journal": JOURNAL}
+    write_page(tmp_path / "report.html", "a run", ["first line"], metrics, viewer=viewer)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    section = text[text.index('id="journal"') : text.index("</section>", text.index('id="journal"'))]
+    assert [width for width in ("94.0", "70.0") if f'<rect width="{width}"' in section] == ["94.0", "70.0"]
+    assert section.count('d="M80.0 0') == 2  # what is asked for
+    assert "&lt;b&gt;wednesday" in section
+    page = page_of(tmp_path, make_run()).read_text(encoding="utf-8")
+    assert 'id="journal"' not in page
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -179,6 +179,8 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
         "stopped": answers.stopped,
         "seconds": answers.seconds,
     }
+    if model.journal:
+        metrics["journal"] = [asdict(entry) for entry in model.journal]
     truth, paths = runner.scores.truth, answers.trajectories
     rows = None if truth is None else np.array(runner.scores.rows_with_truth)
     if truth is not None and rows is not None:

@@ -28,7 +28,7 @@ def write_page(
 
     `metrics` is the content of ``metrics.json``, `viewer` of :func:`~conformodal.report.viewer.make_viewer`.
     """
-    errors = metrics.get("errors") or {}
+    errors, configuration = metrics.get("errors") or {}, metrics.get("configuration") or {}
     paths, image = metrics.get("path_coverage"), metrics.get("coverage")
     by_evidence = {}
     if paths and image:
@@ -40,7 +40,8 @@ def write_page(
         title=title,
         summary=summary,
         record=metrics,
-        unit=(metrics.get("configuration") or {}).get("unit", "m"),
+        unit=configuration.get("unit", "m"),
+        asked=None if "alpha" not in configuration else 1 - configuration["alpha"],
         viewer=viewer,
         errors=[(label, errors[name]) for name, label in METHOD_LABELS.items() if name in errors],
         baseline=errors.get("classical", {}).get("rmse_m"),
