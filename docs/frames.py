@@ -87,7 +87,7 @@ def _draw_body(axes: Axes, at: FloatArray) -> None:
     _draw_axes(axes, at, heading, ("x forward", "y left", "z up"), length=1.2)
     middle = flat(at)[0] + 0.35
     axes.text(middle, 2.95, "base_link", ha="center", weight="bold", fontsize=12)
-    axes.text(middle, 2.63, "the robot's: not in the messages", ha="center", color=GREY, fontsize=10)
+    axes.text(middle, 2.63, "the robot's: in base_pose only", ha="center", color=GREY, fontsize=10)
 
 
 if __name__ == "__main__":

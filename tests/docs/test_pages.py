@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from conformodal.ros.conversion import IMAGE, NAMESPACE, TOPICS, TRUTH
-from conformodal.ros.node import Parameters
+from conformodal.ros.conversion import IMAGE, LIVE, NAMESPACE, TOPICS, TRUTH
+from conformodal.ros.parameters import Parameters
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -72,7 +72,7 @@ def rows(first):
 
 
 def test_topics_and_their_types_are_those_that_are_written():
-    assert {name: kind for name, kind, _ in rows("topic")} == {**TOPICS, **TRUTH, **IMAGE}
+    assert {name: kind for name, kind, _ in rows("topic")} == {**TOPICS, **TRUTH, **IMAGE, **LIVE}
     assert f"`{NAMESPACE}/`" in text_of(DOCS / "robots.md")
 
 

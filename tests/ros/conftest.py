@@ -1,4 +1,4 @@
-"""Estimates made by hand, and a stand-in for rclpy."""
+"""Estimates made by hand, and a stand-in for rclpy and tf2_ros."""
 
 import sys
 from array import array
@@ -7,6 +7,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation, Slerp
 
 from conformodal.conformal import QuantileBins
 from conformodal.geometry import Pose
@@ -127,6 +128,7 @@ class Node:
     def __init__(self, given):
         self.given, self.declared = given, []
         self.now_ns, self.said, self.logged, self.subscribed, self.destroyed = 0, [], [], {}, False
+        self.timers = {}
 
     def declare_parameter(self, name, default):
         self.declared.append(name)
@@ -136,11 +138,11 @@ class Node:
         return SimpleNamespace(publish=lambda message: self.said.append((topic, message)))
 
     def create_subscription(self, kind, topic, callback, profile):
-        assert profile == "sensor data"
+        assert profile == (10 if topic == "initialpose" else "sensor data")
         self.subscribed[topic] = (kind, callback)
 
     def create_timer(self, period_s, callback):
-        self.timer = (period_s, callback)
+        self.timers[callback.__name__] = (period_s, callback)
 
     def get_logger(self):
         return SimpleNamespace(**{level: partial(self.log, level) for level in ("info", "warning", "error")})
@@ -153,6 +155,111 @@ class Node:
 
     def destroy_node(self):
         self.destroyed = True
+
+
+class TransformException(Exception):
+    pass
+
+
+class Buffer:
+    """Transforms by hand: a chain of frames, each with samples over time in its parent, or one that always holds."""
+
+    def __init__(self):
+        self.parents, self.waited_s = {}, []
+
+    def set(self, parent, child, T, stamp_ns=None):
+        known = self.parents.setdefault(child, (parent, {}))
+        assert known[0] == parent
+        known[1][stamp_ns] = np.asarray(T, dtype=float)
+
+    def set_message(self, message, static):
+        at, q = message.transform.translation, message.transform.rotation
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), [at.x, at.y, at.z]
+        stamp = message.header.stamp
+        stamp_ns = None if static else stamp.sec * 1_000_000_000 + stamp.nanosec
+        self.set(message.header.frame_id, message.child_frame_id, T, stamp_ns)
+
+    def clear(self):
+        self.parents = {child: known for child, known in self.parents.items() if None in known[1]}
+
+    def chain(self, frame):
+        """The frame and those above it."""
+        while frame:
+            yield frame
+            frame, _ = self.parents.get(frame, (None, None))
+
+    def up(self, frame, ancestor, stamp_ns):
+        """``T_ancestor_frame``."""
+        if frame == ancestor:
+            return np.eye(4)
+        parent, samples = self.parents[frame]
+        return self.up(parent, ancestor, stamp_ns) @ self.between(samples, stamp_ns)
+
+    def between(self, samples, stamp_ns):
+        if None in samples:
+            return samples[None]
+        times = sorted(samples)
+        stamp_ns = stamp_ns or times[-1]
+        if not times[0] <= stamp_ns <= times[-1]:
+            raise TransformException("extrapolation")
+        if len(times) == 1:
+            return samples[times[0]]
+        seconds, poses = 1e-9 * (np.array(times) - times[0]), np.array([samples[t] for t in times])
+        now, T = 1e-9 * (stamp_ns - times[0]), np.eye(4)
+        T[:3, :3] = Slerp(seconds, Rotation.from_matrix(poses[:, :3, :3]))(now).as_matrix()
+        T[:3, 3] = [np.interp(now, seconds, column) for column in poses[:, :3, 3].T]
+        return T
+
+    def matrix(self, target, source, stamp_ns):
+        above = list(self.chain(target))
+        common = next((frame for frame in self.chain(source) if frame in above), None)
+        if common is None:
+            raise TransformException("not connected")
+        return np.linalg.inv(self.up(target, common, stamp_ns)) @ self.up(source, common, stamp_ns)
+
+    def can_transform(self, target, source, time):
+        try:
+            self.matrix(target, source, time.nanoseconds)
+        except TransformException:
+            return False
+        return True
+
+    def lookup_transform(self, target, source, time, timeout):
+        self.waited_s.append(timeout.seconds)
+        T = self.matrix(target, source, time.nanoseconds)
+        x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
+        rotation = SimpleNamespace(x=x, y=y, z=z, w=w)
+        return SimpleNamespace(
+            transform=SimpleNamespace(
+                translation=SimpleNamespace(**dict(zip("xyz", T[:3, 3], strict=True))), rotation=rotation
+            )
+        )
+
+
+@pytest.fixture
+def transforms():
+    """A buffer of transforms."""
+    return Buffer()
+
+
+def stand_in_for_tf2(monkeypatch, found):
+    """tf2_ros, whose buffer is `found.buffer`; transforms that are sent are there again, as said on /tf."""
+    found.buffer = Buffer()
+    tf2, time, duration = ModuleType("tf2_ros"), ModuleType("rclpy.time"), ModuleType("rclpy.duration")
+    tf2.Buffer, tf2.TransformException = lambda: found.buffer, TransformException
+
+    def listener(buffer, node):
+        assert buffer is found.buffer
+
+    def broadcaster(node):
+        return SimpleNamespace(sendTransform=lambda message: node.said.append(("/tf", message)))
+
+    tf2.TransformListener, tf2.TransformBroadcaster = listener, broadcaster
+    time.Time = lambda nanoseconds=0: SimpleNamespace(nanoseconds=nanoseconds)
+    duration.Duration = lambda seconds: SimpleNamespace(seconds=seconds)
+    for module in (tf2, time, duration):
+        monkeypatch.setitem(sys.modules, module.__name__, module)
 
 
 @pytest.fixture
@@ -179,14 +286,17 @@ def ros(monkeypatch):
     def try_shutdown():
         found.ended += 1
 
-    def spin(node):  # tests set it later
+    def spin(node, executor):  # tests set it later
+        assert executor.num_threads > 1  # transforms come while an image is answered
         found.spin(node)
 
     rclpy, executors, qos = ModuleType("rclpy"), ModuleType("rclpy.executors"), ModuleType("rclpy.qos")
     rclpy.init, rclpy.create_node, rclpy.try_shutdown = lambda args: None, create_node, try_shutdown
     rclpy.spin = spin
+    executors.MultiThreadedExecutor = lambda num_threads: SimpleNamespace(num_threads=num_threads)
     executors.ExternalShutdownException = type("ExternalShutdownException", (Exception,), {})
     qos.qos_profile_sensor_data = "sensor data"
     for module in (rclpy, executors, qos):
         monkeypatch.setitem(sys.modules, module.__name__, module)
+    stand_in_for_tf2(monkeypatch, found)
     return found

@@ -18,10 +18,11 @@ from conformodal.ros.node import PoseNode, message_class
 pytest.importorskip("rosbags")
 
 
-def image_message(ros, image, stamp_ns, encoding="rgb8"):
+def image_message(ros, image, stamp_ns, encoding="rgb8", frame_id="camera"):
     of = ros.messages.of
     sec, nanosec = divmod(stamp_ns, NANOSECONDS)
-    header = of("std_msgs/msg/Header")(stamp=of("builtin_interfaces/msg/Time")(sec=sec, nanosec=nanosec))
+    stamp = of("builtin_interfaces/msg/Time")(sec=sec, nanosec=nanosec)
+    header = of("std_msgs/msg/Header")(stamp=stamp, frame_id=frame_id)
     height, width, _ = image.shape
     data = array("B", image.tobytes())
     return of("sensor_msgs/msg/Image")(
@@ -64,7 +65,7 @@ def test_images_are_answered_as_by_the_estimator_with_their_own_stamps(running, 
     for i, stamp_ns in enumerate(stamps):
         callback(image_message(ros, running.sequence.image(i), stamp_ns))
     odometry, conversion, levels = VisualOdometry(world[1]), Conversion(), []
-    assert {topic for topic, _ in node.said} == {f"/conformodal/{name}" for name in TOPICS}
+    assert {topic for topic, _ in node.said} == {f"/conformodal/{name}" for name in TOPICS}  # no transform is known
     for i, (stamp_ns, message) in enumerate(zip(stamps, said(node), strict=True)):
         sec, nanosec = divmod(stamp_ns, NANOSECONDS)
         assert (message.header.stamp.sec, message.header.stamp.nanosec) == (sec, nanosec)
@@ -89,7 +90,7 @@ def test_a_driver_that_repeats_its_picture_has_lost_the_pose_until_it_goes_on(ru
 
 def test_where_no_image_comes_the_pose_is_lost(running):
     node, ros = running.node, running.ros
-    period_s, on_time = node.timer
+    period_s, on_time = node.timers["on_time"]
     assert period_s == 1.0
     node.now_ns = START
     on_time()  # before the first
@@ -149,7 +150,7 @@ def test_the_program_loads_a_model_and_spins(ros, small_world, world, capsys):
     def spin(node):
         kind, _ = node.subscribed["image"]
         assert kind is ros.messages.of("sensor_msgs/msg/CompressedImage")
-        node.timer[1]()
+        node.timers["on_time"][1]()
         raise KeyboardInterrupt
 
     ros.spin = spin
@@ -164,7 +165,10 @@ def test_the_program_loads_a_model_and_spins(ros, small_world, world, capsys):
     [
         ({}, "parameter model must name"),
         ({"model": "nowhere"}, "nowhere"),
-        ({"model": "m", "silent_s": 0.0}, "more than 0 s"),
+        ({"model": "m", "silent_s": 0.0}, "silent_s must be more than 0 s"),
+        ({"model": "m", "transform_tolerance": float("nan")}, "transform_tolerance must be more than 0 s"),
+        ({"model": "m", "odom_frame": "map"}, "must name three frames"),
+        ({"model": "m", "base_frame": ""}, "must name three frames"),
     ],
 )
 def test_parameters_that_cannot_be_used_are_named(ros, capsys, given, text):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -71,6 +72,8 @@ class BackboneConfig:
 
 def open_session(content: bytes) -> InferenceSession:
     """A network in ONNX, ready to run; VisionError if it is none."""
+    # the import alone writes an identifier of this computer, for events that go to Microsoft; 0 allows it
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     with require_extra("run", "running a model"):
         import onnxruntime  # noqa: PLC0415 - only where a network is run
     options = onnxruntime.SessionOptions()

@@ -17,6 +17,7 @@ from conformodal.io.decoding import grey_image
 from conformodal.localizer.carrying import CarrySettings, FeatureStream, FrameLook, StreamFrame
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import PoseFilter, Window, hindsight_posteriors
+from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.observations import MotionPrior, choose_places, find_places
 from conformodal.localizer.regions import EvidenceType, PoseRegions
 from conformodal.tracking.tracker import MotionFrontEnd, affine_flow
@@ -72,6 +73,15 @@ class VisualOdometry(Odometry):
             settings=settings,
         )
         self._last_s = self._usable_s = None
+
+    def start_near(self, pose: PoseMixture, timestamp_s: float) -> None:
+        """Begin the path anew from a pose that is known from elsewhere, at a time before that of the next frame.
+
+        The next images choose among their hypotheses by it, and overrule it where they agree on another one. Regions
+        of single images do not depend on it; those from all frames so far were calibrated without it.
+        """
+        self._filter.reset()
+        self._filter.push(pose, None, timestamp_s)
 
     def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
         grey = grey_image(image)  # once for tracker and local features

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,8 @@ TOPICS = {
 # of recordings only
 TRUTH = {"truth": "geometry_msgs/msg/PoseStamped"}
 IMAGE = {"image/compressed": "sensor_msgs/msg/CompressedImage"}
+# of the node only
+LIVE = {"base_pose": TOPICS["pose"]}
 
 NANOSECONDS = 1_000_000_000
 _LAST_SECOND = 2**31 - 1
@@ -53,7 +55,7 @@ _RANGE_M = 100.0  # where boxes are cut off, from the chosen position along each
 _LONGEST_PATH = 1000  # poses
 _PATH_EVERY = 10  # answered frames per published path
 _CUBE, _DELETE_ALL = 1, 3
-_OK, _WARN, _ERROR = 0, 1, 2
+OK, WARN, ERROR = 0, 1, 2  # levels of diagnostics
 
 
 class RosError(ConformodalError):
@@ -151,19 +153,42 @@ class Conversion:
         orientation = self.make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw)
         return self.make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
 
+    def uncertain(self, header: Any, pose: Any = None, covariance: FloatArray | None = None) -> Any:
+        """A pose with its covariance (6, 6); without them that of a lost frame."""
+        spread = np.eye(6) * _LOST_VARIANCE if covariance is None else covariance
+        pose = self.pose() if pose is None else pose
+        inner = self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=spread.ravel())
+        return self.make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header, pose=inner)
+
+    def transform(self, stamp_ns: int, child: str, T_world_child: FloatArray) -> Any:
+        """The transform (4, 4) from a frame to the world's, for ``/tf``."""
+        pose = self.pose_of(T_world_child)
+        at = pose.position
+        shift = self.make("geometry_msgs/msg/Vector3", x=at.x, y=at.y, z=at.z)
+        moved = self.make("geometry_msgs/msg/Transform", translation=shift, rotation=pose.orientation)
+        kind, header = "geometry_msgs/msg/TransformStamped", self.header(stamp_ns)
+        return self.make(kind, header=header, child_frame_id=child, transform=moved)
+
+    def diagnostic(self, header: Any, level: int, name: str, message: str, pairs: Mapping[str, str]) -> Any:
+        """One status of a name: a level, a message, and pairs of keys and values."""
+        values = [self.make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in pairs.items()]
+        given = {"level": level, "name": f"conformodal: {name}", "message": as_utf8(message), "values": values}
+        status = self.make("diagnostic_msgs/msg/DiagnosticStatus", **given)
+        return self.make("diagnostic_msgs/msg/DiagnosticArray", header=header, status=[status])
+
+    def pose_of(self, T: FloatArray) -> Any:
+        """The pose of a transform (4, 4)."""
+        return self.poses(Trajectory.from_poses_se3([0.0], T[None]))[0]
+
     def poses(self, of: Trajectory | PoseMixture) -> list[Any]:
         """Messages of poses."""
         return [self.pose(*pair) for pair in zip(of.positions_xyz, of.orientations_quat_wxyz, strict=True)]
 
     def _pose(self, estimate: Estimate, header: Any) -> Any:
-        pose, covariance = self.pose(), np.eye(6) * _LOST_VARIANCE
-        if not is_lost(estimate) and estimate.pose is not None and estimate.covariance is not None:
-            pose, covariance = (
-                self.pose(estimate.pose.position_xyz, estimate.pose.orientation_quat_wxyz),
-                estimate.covariance,
-            )
-        inner = self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())
-        return self.make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header, pose=inner)
+        if is_lost(estimate) or estimate.pose is None or estimate.covariance is None:
+            return self.uncertain(header)
+        pose = self.pose(estimate.pose.position_xyz, estimate.pose.orientation_quat_wxyz)
+        return self.uncertain(header, pose, estimate.covariance)
 
     def _candidates(self, estimate: Estimate, header: Any) -> dict[str, Any]:
         """Candidate poses, most probable first, and their weights in the same order."""
@@ -214,14 +239,8 @@ class Conversion:
             "boxes": str(n_boxes),
             "boxes_shown": str(min(n_boxes, _MAX_BOXES)),
         }
-        status = self.make(
-            "diagnostic_msgs/msg/DiagnosticStatus",
-            level=_ERROR if lost else _OK if estimate.reliable else _WARN,
-            name="conformodal: pose",
-            message=as_utf8(estimate.problem or "reliable"),
-            values=[self.make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in pairs.items()],
-        )
-        return self.make("diagnostic_msgs/msg/DiagnosticArray", header=header, status=[status])
+        level = ERROR if lost else OK if estimate.reliable else WARN
+        return self.diagnostic(header, level, "pose", estimate.problem or "reliable", pairs)
 
     def _extend_path(self, estimate: Estimate) -> bool:
         """Add the pose to the path; where the path is to be published, also revise its last poses."""
