@@ -98,13 +98,14 @@ def test_then_it_is_known(trained, extended, recordings):
 
 
 def test_an_extended_model_is_stored(extended, recordings, flights, tmp_path):
-    save_model(extended, tmp_path)
-    loaded = load_model(tmp_path)
+    model = tmp_path / "model"
+    save_model(extended, model)
+    loaded = load_model(model)
     assert loaded.journal == extended.journal
-    assert extended.journal[0].describe() in run_ok("info", tmp_path).output
-    run_ok("run", tmp_path, flights[2], "--out", tmp_path / "run")
+    assert extended.journal[0].describe() in run_ok("info", model).output
+    run_ok("run", model, flights[2], "--out", tmp_path / "run")
     [entry] = json.loads((tmp_path / "run" / "metrics.json").read_text(encoding="utf-8"))["journal"]
-    assert entry["name"] == "flight-6"
+    assert entry["name"] == extended.journal[0].name
     assert "Recordings that joined" in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     run, other = (VisualOdometry(one).process(recordings[2], np.arange(12)) for one in (loaded, extended))
     np.testing.assert_array_equal(run.trajectories["online"].positions_xyz, other.trajectories["online"].positions_xyz)

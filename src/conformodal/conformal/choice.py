@@ -18,7 +18,7 @@ LeftOut: TypeAlias = tuple[RealArray, IntArray]
 
 _POWERS = (0.0, 0.25, 0.5, 0.75, 1.0)
 # the quarter of rows with the widest distributions must miss at most this times alpha
-_MOST_MISSED = 0.9
+_MAX_MISSED = 0.9
 # sets that are longer by this factor are as long: one interval is then easier to read
 _AS_LONG = 1.01
 # rows below which a quarter says little, and that are enough
@@ -45,7 +45,7 @@ def choose_score(left_out: Sequence[LeftOut], widths: Sequence[FloatArray], alph
         return Density()
     some = [(proba[:_MOST_ROWS], codes[:_MOST_ROWS]) for proba, codes in left_out]
     scaled = [_judge(ScaledDensity(power) if power else Density(), some, widths, alpha) for power in _POWERS]
-    needed = 1 - _MOST_MISSED * float(as_alpha(alpha))
+    needed = 1 - _MAX_MISSED * float(as_alpha(alpha))
     enough = [one for one in scaled if one.covered >= needed] or [max(scaled, key=lambda one: one.covered)]
     best = min(enough, key=lambda one: one.log_size)
     interval = _judge(Interval(), some, widths, alpha)

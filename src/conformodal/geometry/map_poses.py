@@ -78,30 +78,30 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
     spreads = np.repeat(sigmas, (1, 3, 3, 2))
 
     def residuals(unknowns: FloatArray) -> FloatArray:
-        errors = _epipolar_errors_px(_mounted(given, unknowns * spreads), fitted, poses_se3)
+        errors = _epipolar_errors_px(_rig_of(given, unknowns * spreads), fitted, poses_se3)
         return np.concatenate((errors / _SCALE_PX, unknowns))
 
     unknowns = least_squares(residuals, np.zeros(9), loss="cauchy", max_nfev=30).x
     if np.abs(unknowns[7:]).max() >= _MAX_SIGMAS:
         unknowns[7:] = 0
-    better = _mounted(given, unknowns * spreads)
+    better = _rig_of(given, unknowns * spreads)
     before, after = (float(np.median(np.abs(_epipolar_errors_px(m, checked, poses_se3)))) for m in (given, better))
     return better if after < before and np.abs(unknowns).max() < _MAX_SIGMAS else given
 
 
-def _mounted(given: RigCalibration, unknowns: FloatArray) -> RigCalibration:
+def _rig_of(given: RigCalibration, unknowns: FloatArray) -> RigCalibration:
     factor = float(np.exp(unknowns[0]))
     T_pose_cam = rigid_motions(Rotation.from_rotvec(unknowns[1:4]).as_matrix(), unknowns[4:7])
     camera = given.camera
     return RigCalibration(replace(camera, fx=camera.fx * factor, fy=camera.fy * factor), T_pose_cam, unknowns[7:])
 
 
-def _epipolar_errors_px(mounted: RigCalibration, matches: Matches, poses_se3: FloatArray) -> FloatArray:
+def _epipolar_errors_px(rig: RigCalibration, matches: Matches, poses_se3: FloatArray) -> FloatArray:
     """Signed first-order distances (m,) from the epipolar constraint, in pixels (Sampson)."""
-    camera = mounted.camera
-    poses = poses_se3 @ mounted.T_pose_cam
+    camera = rig.camera
+    poses = poses_se3 @ rig.T_pose_cam
     (Ri, ci), (Rj, cj) = ((poses[f, :3, :3], poses[f, :3, 3]) for f in matches.frames.T)
-    plane = camera.on_plane(camera.compensate_rolling_shutter(matches.pixels, matches.flows, mounted.shutter))
+    plane = camera.on_plane(camera.compensate_rolling_shutter(matches.pixels, matches.flows, rig.shutter))
     rays = np.concatenate((plane, np.ones((*plane.shape[:2], 1))), axis=2)
     baseline = np.einsum("mba,mb->ma", Rj, ci - cj)
     line_j = np.cross(baseline, np.einsum("mba,mbc,mc->ma", Rj, Ri, rays[:, 0]))
@@ -137,26 +137,26 @@ class MapPoses:
     Sigmas are radians in the camera's frame, and metres.
     """
 
-    mounted: RigCalibration
+    rig: RigCalibration
     poses_cam: FloatArray
     sigmas: FloatArray
 
     def adjusted(self, poses_se3: FloatArray, tracks: Tracks) -> MapPoses:
         """Poses and camera after bundle adjustment, and mount and sigmas learnt from how far poses moved."""
-        camera = self.mounted.camera
-        priors = PosePriors(poses_se3 @ self.mounted.T_pose_cam, self.sigmas)
+        camera = self.rig.camera
+        priors = PosePriors(poses_se3 @ self.rig.T_pose_cam, self.sigmas)
         bundle = self._bundle(tracks, priors, _SIGMA_ADJUSTED_FOCAL)
         poses_cam = rigid_motions(bundle.R_world_cam, bundle.centres)
         factor, relative = float(np.exp(bundle.log_focal)), np.linalg.inv(poses_se3) @ poses_cam
         mean = Rotation.from_matrix(relative[:, :3, :3]).mean().as_matrix()
-        mounted = self.mounted._replace(
+        rig = self.rig._replace(
             camera=replace(camera, fx=camera.fx * factor, fy=camera.fy * factor),
             T_pose_cam=rigid_motions(mean, np.median(relative[:, :3, 3], axis=0)),
         )
-        off = np.abs(priors._replace(poses=poses_se3 @ mounted.T_pose_cam).deviations(bundle))
+        off = np.abs(priors._replace(poses=poses_se3 @ rig.T_pose_cam).deviations(bundle))
         spread = np.repeat([np.median(off[:, :3]), np.median(off[:, 3:])], 3) / MAD_OF_NORMAL
         sigmas = np.maximum(spread, _MIN_SIGMA * self.sigmas)
-        return replace(self, mounted=mounted, poses_cam=poses_cam, sigmas=sigmas)
+        return replace(self, rig=rig, poses_cam=poses_cam, sigmas=sigmas)
 
     def adjusted_beside(self, n_known: int, expected: FloatArray, tracks: Tracks) -> MapPoses:
         """Poses after bundle adjustment of those after the first `n_known`, which stay as they are, like the camera.
@@ -174,7 +174,7 @@ class MapPoses:
 
     def _bundle(self, tracks: Tracks, priors: PosePriors, focal_sigma: float = Adjustment.focal_sigma) -> Bundle:
         """Poses and points after bundle adjustment, and the focal length where its sigma is given."""
-        camera, order = self.mounted.camera, np.argsort(tracks.frame, kind="stable")
+        camera, order = self.rig.camera, np.argsort(tracks.frame, kind="stable")
         adjustment = Adjustment(
             ObservedCorners(tracks.frame[order], tracks.point[order], tracks.plane[order]),
             sigma=2 / (camera.fx + camera.fy),
@@ -190,7 +190,7 @@ class MapPoses:
 
     def corrections(self, poses_se3: FloatArray) -> FloatArray:
         """Differences (n, 6) from the given poses, in the given frame: metres and a rotation vector, world."""
-        poses = self.poses_cam @ np.linalg.inv(self.mounted.T_pose_cam)
+        poses = self.poses_cam @ np.linalg.inv(self.rig.T_pose_cam)
         turns = Rotation.from_matrix(poses[:, :3, :3] @ np.swapaxes(poses_se3[:, :3, :3], 1, 2)).as_rotvec()
         return np.concatenate((poses[:, :3, 3] - poses_se3[:, :3, 3], turns), axis=1)
 

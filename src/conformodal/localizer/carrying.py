@@ -179,12 +179,12 @@ class FeatureStream:
         estimate = source.carry(features, view, anchor.detected, anchor.n_followed)
         if estimate is None or estimate.view is None or not recognised_only([estimate]):
             return None
-        agreeing = np.unique(estimate.view.corners)
-        if len(agreeing) < max(self._settings.min_corners, self._settings.min_share * anchor.n_followed):
+        inliers = np.unique(estimate.view.corners)
+        if len(inliers) < max(self._settings.min_corners, self._settings.min_share * anchor.n_followed):
             return None
-        view = _rows_of(estimate.view, agreeing)
+        view = _rows_of(estimate.view, inliers)
         self._anchor = anchor._replace(
-            grey=frame.grey, timestamp_s=frame.timestamp_s, pixels=pixels[agreeing], view=view
+            grey=frame.grey, timestamp_s=frame.timestamp_s, pixels=pixels[inliers], view=view
         )
         return FrameLook(features, [replace(estimate, view=None)], carried=True)
 

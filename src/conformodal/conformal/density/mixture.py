@@ -30,7 +30,7 @@ _MIN_WEIGHT = 1e-3
 # rows at once of trees, and of arrays (rows, bins), which then stay in the processor's cache
 _ROWS_AT_ONCE, _ROWS_IN_CACHE = 8192, 512
 # of a kernel, relative to the largest: what is left out changes masses by less
-_LEAST_SINGULAR = 1e-8
+_MIN_SINGULAR = 1e-8
 _STEPS, _CELLS_PER_STEP = 4096, 8  # of a table of cells
 # least density, relative to 1 / range, for logarithms
 _FLOOR = 1e-6
@@ -215,7 +215,7 @@ class _MixedMasses:
 def _factors(kernel: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Matrices (G, r) and (r, M) whose product is a kernel (G, M), by its largest singular values."""
     left, values, right = svd(kernel, full_matrices=False)
-    large = values > _LEAST_SINGULAR * values[0]
+    large = values > _MIN_SINGULAR * values[0]
     return left[:, large] * values[large], right[large]
 
 

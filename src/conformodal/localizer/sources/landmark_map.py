@@ -100,7 +100,7 @@ class LandmarkMap:
         mapped = triangulate_frames(features, poses_se3, camera, depth_m, progress, matcher or Matcher())
         global_descriptors = np.array([one.global_descriptor for one in features], dtype=np.float16)
         return cls(
-            *mapped.mounted,
+            *mapped.rig,
             origin_xyz,
             poses_se3,
             global_descriptors,
@@ -121,10 +121,10 @@ class LandmarkMap:
 
         moved = poses_se3.copy()
         moved[:, :3, 3] -= self.origin_xyz
-        mounted = RigCalibration(self.camera, self.T_pose_cam, self.shutter)
+        rig = RigCalibration(self.camera, self.T_pose_cam, self.shutter)
         shift, turn = np.nanmedian(np.abs(self.corrections), axis=0).reshape(2, 3).mean(axis=1) / MAD_OF_NORMAL
         sigmas = np.repeat([max(turn, _MIN_SIGMA), max(shift, _MIN_SIGMA * self.depth_m)], 3)
-        known = KnownFrames(self._projections(), self.poses_se3, self._poses_cam, mounted, sigmas)
+        known = KnownFrames(self._projections(), self.poses_se3, self._poses_cam, rig, sigmas)
         added = triangulate_beside(known, features, moved, self.depth_m, progress)
         described = np.array([one.global_descriptor for one in features], dtype=np.float16)
         return replace(
@@ -303,10 +303,10 @@ class LandmarkMap:
         sigma_m, sigma_rad = np.hypot(sigmas, scatter).tolist()
         turn = Rotation.from_rotvec(-off[3:]) * Rotation.from_matrix(T_world_pose[:3, :3])
         position, quat = self.origin_xyz + T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True)
-        agreeing = np.unique(solution.corners)
-        shares = solution.inlier_share, self._share_of_image(image.pixels[agreeing])
+        inliers = np.unique(solution.corners)
+        shares = solution.inlier_share, self._share_of_image(image.pixels[inliers])
         view = LandmarkView(solution.corners, solution.landmarks, T_world_cam)
-        return PoseMeasurement(position, quat, sigma_m, sigma_rad, len(agreeing), 1.0, *shares, apart, view)
+        return PoseMeasurement(position, quat, sigma_m, sigma_rad, len(inliers), 1.0, *shares, apart, view)
 
     def _guided(self, image: LocalFeatures, T_world_cam: FloatArray, shown: BoolArray) -> tuple[IntArray, IntArray]:
         """Corners and landmarks (m,) that match where the keyframes nearest to a pose say that they are."""

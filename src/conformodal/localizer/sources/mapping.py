@@ -44,7 +44,7 @@ _MATCHES_PER_PAIR = 40  # that the camera is fitted with
 class TriangulatedFrames(NamedTuple):
     """The camera of n frames and their landmarks, as :class:`.landmark_map.LandmarkMap` keeps them."""
 
-    mounted: RigCalibration
+    rig: RigCalibration
     starts: IntArray
     points_xyz: Float32Array
     descriptors: Descriptors
@@ -61,11 +61,11 @@ def triangulate_frames(
 ) -> TriangulatedFrames:
     """Triangulate corners of n frames with known poses (n, 4, 4), which are adjusted with them."""
     pairs = _matched(features, _partners(poses_se3, depth_m), matcher, progress)
-    mounted = fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
-    features = [one.compensate_rolling_shutter(mounted.shutter, camera) for one in features]
+    rig = fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
+    features = [one.compensate_rolling_shutter(rig.shutter, camera) for one in features]
     work = _Triangulation(features, pairs)
     sigmas = np.repeat([SIGMA_RAD, SIGMA_DEPTHS * depth_m], 3)
-    current = MapPoses(mounted, poses_se3 @ mounted.T_pose_cam, sigmas)
+    current = MapPoses(rig, poses_se3 @ rig.T_pose_cam, sigmas)
     for _ in range(ROUNDS):
         tracks = work.tracks(current)
         if len(tracks.frame) < MIN_PER_FRAME * len(features):
@@ -80,7 +80,7 @@ class KnownFrames(NamedTuple):
     features: Sequence[LocalFeatures]  # of n frames: corners whose landmarks are known
     poses_se3: FloatArray  # (n, 4, 4) as given
     poses_cam: FloatArray  # (n, 4, 4) adjusted, ``T_world_cam``
-    mounted: RigCalibration
+    rig: RigCalibration
     sigmas: FloatArray  # (6,) of given poses, see MapPoses
 
 
@@ -95,14 +95,14 @@ def triangulate_beside(
 
     Their corners are sought in frames of the map and in each other.
     """
-    n, mounted = len(known.features), known.mounted
-    features = [one.compensate_rolling_shutter(mounted.shutter, mounted.camera) for one in features]
+    n, rig = len(known.features), known.rig
+    features = [one.compensate_rolling_shutter(rig.shutter, rig.camera) for one in features]
     every = [*known.features, *features]
     partners = _partners(np.concatenate((known.poses_se3, poses_se3)), depth_m)
     partners[:n] = [np.empty(0, np.int64)] * n
     work = _Triangulation(every, _matched(every, partners, Matcher(), progress), first=n)
-    expected = poses_se3 @ mounted.T_pose_cam
-    current = MapPoses(mounted, np.concatenate((known.poses_cam, expected)), known.sigmas)
+    expected = poses_se3 @ rig.T_pose_cam
+    current = MapPoses(rig, np.concatenate((known.poses_cam, expected)), known.sigmas)
     for _ in range(ROUNDS):
         tracks = work.tracks(current)
         if len(tracks.frame) < MIN_PER_FRAME * len(features):
@@ -141,7 +141,7 @@ class _Triangulation:
         starts = self._before[self._first :] - self._before[self._first]
         reliable = _first_of_frames(points.reliable, starts)
         return TriangulatedFrames(
-            mounted=current.mounted,
+            rig=current.rig,
             starts=np.concatenate(([0], np.cumsum(reliable)))[starts],
             points_xyz=points.xyz[reliable].astype(np.float32),
             descriptors=np.concatenate([one.descriptors for one in self._features[self._first :]])[reliable],
@@ -186,7 +186,7 @@ class _Triangulation:
                 others.append(self._before[j] + pair[:, 1])
         corner = np.concatenate(corners)
         order = np.argsort(corner, kind="stable")  # the corner's own frame stays first
-        plane = current.mounted.camera.on_plane(np.concatenate(pixels)[order])
+        plane = current.rig.camera.on_plane(np.concatenate(pixels)[order])
         camera_of, ray_number = np.concatenate(cameras)[order], np.concatenate(others)[order]
         poses_cam = current.poses_cam
         return Rays(corner[order], ray_number, camera_of, plane, poses_cam[:, :3, :3], poses_cam[:, :3, 3])
@@ -268,5 +268,5 @@ def _some_matches(features: Sequence[LocalFeatures], pairs: Sequence[Sequence[tu
 
 def _tolerance(current: MapPoses) -> float:
     """Radians by which a ray may miss a landmark."""
-    camera = current.mounted.camera
+    camera = current.rig.camera
     return 2 * _TOLERANCE_PX / (camera.fx + camera.fy)
