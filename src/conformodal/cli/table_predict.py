@@ -18,7 +18,7 @@ from conformodal.conformal import ConformalRegressor
 from conformodal.conformal.tables import input_columns
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
-from conformodal.core.files import replacing
+from conformodal.core.files import naming_file, remove_leftovers, replacing
 from conformodal.core.words import counted, finite_or_none, listed
 
 from .console import Quiet, progress_bars, report_line, warning_lines
@@ -146,18 +146,24 @@ def _writer(out: Path) -> Iterator[Any]:
                 table = table.set_column(j, field.name, [[json.dumps(row) for row in rows]])
         return table
 
+    remove_leftovers(out)
     with replacing(out) as part:
+        with naming_file(out):
+            file = part.open("wb")
         writer: Any = None
 
         def write(table: Any) -> None:
             nonlocal writer
             table = table if out.suffix == _PARQUET else as_text(table)
             kind = parquet.ParquetWriter if out.suffix == _PARQUET else csv.CSVWriter
-            writer = writer or kind(part, table.schema)
-            writer.write_table(table)
+            with naming_file(out):
+                writer = writer or kind(file, table.schema)
+                writer.write_table(table)
 
         try:
             yield write
         finally:
-            if writer is not None:
-                writer.close()
+            with naming_file(out):
+                if writer is not None:
+                    writer.close()
+                file.close()
