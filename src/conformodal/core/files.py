@@ -80,6 +80,16 @@ def read_file(path: Path | str) -> bytes:
     return content
 
 
+def check_writable_file(path: Path) -> None:
+    """Refuse a file that could not be written where it is to be, before the work whose result it is; makes nothing."""
+    with naming_file(path):
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "is a folder")
+        folder = next(each for each in path.absolute().parents if each.exists())
+        with tempfile.TemporaryFile(dir=folder) as probe:
+            probe.write(b"probe")
+
+
 def write_whole(path: Path, content: bytes | str) -> None:
     """Write a file atomically: readers never see half of it, and a failure leaves the old one.
 
