@@ -249,7 +249,7 @@ def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:
     n, n_unknown = counted(metrics["n_answered"], "frame"), metrics["n_unknown"]
     lines = [
         f"{name}: {n} answered, {metrics['split_note']}",
-        f"Frames not reliable (motion or place): {metrics['n_unreliable']}; without an image: "
+        f"Frames not reliable (motion or place): {metrics['n_unreliable']}; without a usable image or time: "
         f"{metrics['n_without_image']}; with a pose from landmarks: {metrics['n_localized']}.",
     ]
     if n_unknown:

@@ -227,8 +227,9 @@ class ResultsWriter:
                 self._open[name].write(f"{line}\n")
 
     def _close(self) -> None:
-        for file in self._open.values():
-            file.close()
+        for name, file in self._open.items():
+            with naming_file(self.unfinished(name)):
+                file.close()
 
     def _remove_unfinished(self) -> None:
         for path in [*self.folder.glob(f"*{UNFINISHED}"), *self.folder.glob(f"methods/*{UNFINISHED}")]:

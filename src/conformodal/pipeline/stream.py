@@ -93,13 +93,15 @@ class PoseStore:
 
     def read(self) -> Trajectory:
         """All poses so far."""
-        self._file.seek(0)
+        with naming_file(self._folder):  # what waits to be written is written first
+            self._file.seek(0)
         rows = np.frombuffer(self._file.read()).reshape(-1, 8)
         return Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
 
     def close(self) -> None:
         """Let go of the file."""
-        self._file.close()
+        with naming_file(self._folder):
+            self._file.close()
 
 
 class StreamRunner:
