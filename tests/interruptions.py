@@ -16,6 +16,7 @@ from conformodal.conformal import ConformodalError
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 _CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.symlink", "os.truncate")
 _GROW = ("open", "os.mkdir")  # what a full disk refuses
+_LEAST = 32  # bytes: joblib's semaphores are files of this size, and elsewhere than on the disk
 HOW = ("killed", "full", "full while writing")
 READ_ONLY = "read-only"  # from the first step on; root may write where permissions forbid it
 
@@ -65,7 +66,7 @@ def _hook(event: str, arguments: tuple) -> None:
 def interrupted(folder: Path, how: str, step: int) -> Iterator[Interruption]:
     """Interrupt what the block does to files in a folder at one of its steps.
 
-    A disk that is full while files are written has room for files of so many bytes: 0, 1, 4, 16 and so on.
+    A disk that is full while files are written has room for files of so many bytes: 32, 128, 512 and so on.
     """
     if not _hooked:
         sys.addaudithook(_hook)
@@ -73,7 +74,7 @@ def interrupted(folder: Path, how: str, step: int) -> Iterator[Interruption]:
     one = Interruption(folder.absolute(), how, step)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     if how == "full while writing":
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4**step // 4, limits[1]))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (_LEAST * 4**step, limits[1]))
     else:
         _active.append(one)
     try:
