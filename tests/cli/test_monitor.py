@@ -181,6 +181,28 @@ def test_rows_are_read_as_the_regressor_expects_them(tmp_path):
 
 
 @pytest.mark.slow
+def test_rows_are_read_as_they_are_named(tmp_path):
+    rng = np.random.default_rng(5)
+    days = pd.to_datetime("2024-01-01") + pd.to_timedelta(rng.integers(0, 300, 460), "D")
+    price = 1000 * rng.uniform(1, 9, 460)
+    cells = [f"{day:%Y-%m-%d},{p:.2f},{2 * p + rng.normal():.2f}\n" for day, p in zip(days, price, strict=True)]
+    model, file = with_model_of(tmp_path, "sold,cost,price\n" + "".join(cells[:400])), tmp_path / "new.csv"
+    file.write_text("sold,cost,price\n" + "".join(cells[400:]))
+    plain = json.loads(run_ok("monitor", model, file, "--json").stdout)
+    assert plain["n_new"] == 60
+    rows = [cell.strip().split(",") for cell in cells[400:]]
+    written = [f"{d[8:]}/{d[5:7]}/{d[2:4]};{float(c):,.2f};{float(p):,.2f}" for d, c, p in rows]
+    swapped = [row.translate(str.maketrans(",.", ".,")) for row in [*written, "?;1,000.00;?"]]
+    file.write_text("sold;cost;price\n" + "\n".join(swapped) + "\n")
+    named = ["--sep", ";", "--decimal", ",", "--thousands", ".", "--na", "?", "--date", "sold=%d/%m/%y"]
+    result = run_ok("monitor", model, file, *named, "--json")
+    assert json.loads(result.stdout)["p_values"] == plain["p_values"]
+    assert "left out: 1 row without price" in " ".join(result.output.split())
+    assert "may have marks between thousands" in refusal("monitor", model, file)
+    assert "--decimal, --date: for tables" in refusal("monitor", tmp_path, file, *named[2:4], *named[-2:])
+
+
+@pytest.mark.slow
 def test_rows_of_totals_are_left_out(tmp_path):
     rng = np.random.default_rng(3)
     named = [f"shop {i},{x:.3f},{10 * x + rng.normal():.2f}\n" for i, x in enumerate(rng.uniform(1, 9, 460))]

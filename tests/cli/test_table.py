@@ -316,7 +316,7 @@ def test_a_saved_model_predicts_new_rows_by_the_names_of_their_columns(tmp_path,
     result = parquet.read_table(tmp_path / "out.parquet").to_pandas()
     assert result["row"].tolist() == [*range(15)]
     assert result["id"].tolist() == new["id"].tolist()
-    np.testing.assert_array_equal(result["count"], expected["count"])
+    np.testing.assert_allclose(result["count"], expected["count"], rtol=1e-12)  # sums of rows in another order
     np.testing.assert_array_equal(result["count_high"], expected["count_high"])
     regions = reg.predict_region(as_inputs(reg, known), groups=known["site"])
     for i, parts in enumerate(result["count_intervals"]):

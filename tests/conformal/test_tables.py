@@ -324,6 +324,10 @@ def test_text_of_iso_dates_is_dates_and_it_is_said(form):
         assert X["when"][0] == text.when[0]  # not changed
     with pytest.raises(ConformodalError, match="column when held dates"):
         reg.predict(pd.DataFrame({"when": ["soon", "later"]}))
+    text.loc[9, "when"] = "n/a"
+    for answer in (reg.predict, reg.predict_table):
+        with pytest.raises(ConformodalError, match=r"column when held dates .* got 'n/a' in row 9 \(from 0\)"):
+            answer(text)
 
 
 @pytest.mark.parametrize("labels", [["2024-01-01", "never"], ["20240101", "20240102"], ["2024-01", "2024-02"]])

@@ -78,6 +78,14 @@ def test_each_of_the_48_axes_is_named_and_its_conversion_restores_the_poses(real
         np.testing.assert_allclose(restored, recording.require_truth().poses_se3, atol=1e-9)
 
 
+def test_axes_that_fit_alike_on_a_straight_road_are_named_and_which_one_is_chosen(real_data):
+    recording = read_recording(real_data("kitti", "sequences", "06"))
+    of_ros = changed(recording, partial(bodies, columns=axes.parse_axes("flu")))
+    first, chosen = re.search(r"they fit with (.+?) or .*; (.+) is named first", diagnose_poses(of_ros).what).groups()
+    assert first == chosen
+    assert re.search(r"among others, \d+ in all, that fit alike$", diagnose_poses(of_ros).what)
+
+
 WHOLE = {
     "as they are": (lambda image: image, None),
     "turned by 90 degrees clockwise": (lambda image: np.rot90(image, -1), (1, 0)),

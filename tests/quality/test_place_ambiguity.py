@@ -17,7 +17,7 @@ FORWARD = np.array([1.0, 0, 0, 0])
 
 def answers(*frames):
     """One region per list of places along x, the most probable first; None for an unbounded region."""
-    places = [[Place(0.5, np.array([x, 0, 0]), np.ones(3), FORWARD, 0.1) for x in one or []] for one in frames]
+    places = [[Place(np.array([x, 0, 0]), FORWARD, np.ones(3), 0.1, 0.5) for x in one or []] for one in frames]
     unbounded = np.array([[one is None] * 7 for one in frames])
     kinds = np.array([EvidenceType.UNKNOWN if one is None else EvidenceType.GLOBAL for one in frames])
     length = np.where(unbounded, np.inf, 0.5 * np.array([[len(one)] * 7 for one in places]))

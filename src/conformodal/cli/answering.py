@@ -154,9 +154,13 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
         every = runner.n_answered == n_part
         some = "" if every else f"{runner.n_answered} of {counted(n_part, 'frame')} of "
         note = f"{some}the test part of split {split.kind}, seed {split.seed}."
-    records = answers.writer.records
-    bounded = [one for one in records if record_bounded(one)]
-    n_unknown = sum(one["evidence"] == EvidenceType.UNKNOWN.name.lower() for one in records)
+    motion, sizes, n_unknown, n_unreliable = Counter[str](), list[list[float]](), 0, 0
+    for one in answers.writer.records():
+        motion[one["motion"]] += 1
+        n_unreliable += not one["reliable"]
+        n_unknown += one["evidence"] == EvidenceType.UNKNOWN.name.lower()
+        if record_bounded(one):
+            sizes.append(record_size(one))
     metrics: dict[str, Any] = {
         "command": "run",
         "provenance": provenance(),
@@ -167,15 +171,15 @@ def metrics_of(answers: Answers) -> dict[str, Any]:
         "split_note": note,
         "n_answered": runner.n_answered,
         "results": answers.writer.digests,
-        "n_unreliable": sum(not one["reliable"] for one in records),
+        "n_unreliable": n_unreliable,
         "n_localized": runner.n_localized,
         "n_unknown": n_unknown,
-        "n_unbounded": len(records) - len(bounded) - n_unknown,
+        "n_unbounded": runner.n_answered - len(sizes) - n_unknown,
         "guarantee": short_guarantee(model),
-        "median_length": None if not bounded else np.median([record_size(one) for one in bounded], axis=0).tolist(),
+        "median_length": None if not sizes else np.median(sizes, axis=0).tolist(),
         "n_without_image": runner.n_problems,
         "problems": runner.problems,
-        "motion": Counter(sorted(one["motion"] for one in records if one["motion"] != "first")),
+        "motion": {kind: n for kind, n in sorted(motion.items()) if kind != "first"},
         "stopped": answers.stopped,
         "seconds": answers.seconds,
     }
@@ -230,12 +234,13 @@ def write_answers(
     answers: Answers, metrics: dict[str, Any], title: str, summary: list[str], walls: Sequence[FloatArray] = ()
 ) -> None:
     """Write the page, and publish it with the metrics and all that was written of the run."""
-    records, runner = answers.writer.records, answers.runner
+    runner = answers.runner
     level, unit, paths = answers.model.rules.level, metrics["configuration"]["unit"], answers.trajectories
     trained_xyz = answers.model.known_frames.poses[answers.model.localizer.frames, :3]
     around = Surroundings(walls, unit, trained_xyz)
     try:
-        viewer = make_viewer(records, paths, runner.scores.truth, answers.pictures, level, around)
+        records, truth = answers.writer.records(), runner.scores.truth
+        viewer = make_viewer(records, paths, truth, answers.pictures, level, around)
         write_page(answers.writer.unfinished(PAGE), title, summary, metrics, viewer)
     finally:  # a page that cannot be made takes no results with it
         answers.writer.publish(metrics)
@@ -246,7 +251,7 @@ def describe_outcome(name: str, metrics: dict[str, Any]) -> list[str]:
     n, n_unknown = counted(metrics["n_answered"], "frame"), metrics["n_unknown"]
     lines = [
         f"{name}: {n} answered, {metrics['split_note']}",
-        f"Frames not reliable (motion or place): {metrics['n_unreliable']}; without an image: "
+        f"Frames not reliable (motion or place): {metrics['n_unreliable']}; without a usable image or time: "
         f"{metrics['n_without_image']}; with a pose from landmarks: {metrics['n_localized']}.",
     ]
     if n_unknown:

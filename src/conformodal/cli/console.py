@@ -61,8 +61,9 @@ class _Terminal:
 
     def write(self, line: str) -> None:
         """Keep a line for the log, or append it; a log that cannot be written stops no work."""
-        self.lines.append(line)
-        if self.log is not None:
+        if self.log is None:
+            self.lines.append(line)
+        else:
             with suppress(OSError), self.log.open("a", encoding="utf-8") as file:
                 file.write(f"{line}\n")
 

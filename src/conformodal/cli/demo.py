@@ -64,7 +64,7 @@ def demo(
         world = CorridorWorld(N_MODULES, seed=seed)
         renderer, progress = Renderer(world), stage_of(report, "look-alikes")
         places = count_look_alikes(regions, truth, model.sign_reference, renderer, progress)
-        reliable = np.array([record["reliable"] for record in answers.writer.records])
+        reliable = np.array([record["reliable"] for record in answers.writer.records()])
         off_m = np.linalg.norm(answers.trajectories[ONLINE].positions_xyz - truth.positions_xyz, axis=1)
         n_wrong = int((off_m[reliable] > WRONG_M).sum())
         metrics = {**metrics_of(answers), "command": "demo", "ambiguity": places, "n_reliable_wrong": n_wrong}

@@ -37,8 +37,8 @@ def extend(
     started = time.perf_counter()
     if (out / "model.json").exists():
         raise OdometryError(f"{out}: holds a model already; name a new folder")
-    before = load_model(model)
     with lock_output(out, "extend", apart=[*new, model]):
+        before = load_model(model)
         features = FeatureCache(cache_folder(cache))
         recordings = [open_sequences([path], layout, trust_poses=trust_poses) for path in new]
         checked = [check_extension(before, recording) for recording in recordings]

@@ -29,9 +29,11 @@ def info(model: SavedModel, verbose: Verbose = False, as_json: AsJson = False) -
 def _facts(model: PoseModel, folder: Path) -> dict[str, Any]:
     """What is printed, by name."""
     by_type = guarantees(model)
-    trained = read_metrics(folder) if (folder / METRICS).exists() else {}
+    digest, trained = model_digest(folder), read_metrics(folder) if (folder / METRICS).exists() else {}
+    if trained.get("model") != digest:  # of a training before, where the last one was killed in its last moment
+        trained = {}
     return {
-        "model": model_digest(folder),
+        "model": digest,
         "configuration": model.settings,
         "frames": {part: len(model.split.part(part)) for part in ("train", "calibration", "test")},
         "camera": asdict(model.camera),

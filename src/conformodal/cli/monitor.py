@@ -12,6 +12,7 @@ from conformodal.core.words import counted, readable
 
 from .console import AsJson, OptionError, Quiet, print_json, report_line
 from .monitored import MonitoredScores
+from .table_options import DateFormats, DecimalMark, NaValues, Separator, ThousandsMark
 
 
 def monitor(
@@ -21,25 +22,38 @@ def monitor(
     ],
     level: Annotated[float, typer.Option(help="Probability of a false alarm, ever.")] = 0.01,
     unit: Annotated[str | None, typer.Option(help="Column of a table that names what rows belong to.")] = None,
-    sep: Annotated[str | None, typer.Option(help="Separator of CSV files; recognised by default.")] = None,
+    sep: Separator = None,
+    decimal: DecimalMark = None,
+    thousands: ThousandsMark = None,
+    na_values: NaValues = None,
+    date: DateFormats = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed that breaks ties.")] = 0,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
     """Test whether new recordings, or rows, are like those that calibrate; exit code 1 is an alarm.
 
-    With true poses (or targets) it tests what coverage rests on; runs without true poses are tested for novelty.
+    With true poses (or targets) it tests what coverage rests on; runs without true poses are tested for novelty. CSV
+    files are read as the one learnt from, except for what is named here.
     """
+    named: dict[str, Any] = {
+        "sep": sep,
+        "decimal": decimal,
+        "thousands": thousands,
+        "na_values": na_values,
+        "date": date,
+    }
     if model.is_dir():
-        if unit is not None or sep is not None:
-            raise OptionError("--unit and --sep are for tables, and the model is a folder")
+        if given := [f"--{k.replace('_', '-')}" for k, v in {"unit": unit, **named}.items() if v]:
+            raise OptionError(f"{', '.join(given)}: for tables, and the model is a folder")
         from .monitor_runs import scores_of_runs  # noqa: PLC0415 - tables need nothing of cameras
 
         scores = scores_of_runs(model, results, seed)
     else:
         from .monitor_tables import scores_of_tables  # noqa: PLC0415
+        from .table_predict import named_format  # noqa: PLC0415
 
-        scores = scores_of_tables(model, results, unit, sep)
+        scores = scores_of_tables(model, results, unit, named_format(**named))
     record = _watch(scores, level, seed)
     print_json(record)
     if record["alarm"] is not None:

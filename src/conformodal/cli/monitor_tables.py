@@ -20,10 +20,14 @@ from .console import report_line, warning_lines
 from .monitored import MonitoredScores, named_few
 from .table import check_targets, total_rows
 from .table_csv import CsvFormat, TableError, read_table
+from .table_predict import as_learnt
 
 
-def scores_of_tables(model: Path, files: Sequence[Path], unit: str | None, sep: str | None) -> MonitoredScores:
-    """Scores of the rows of CSV files under a saved regressor, in the order of files and rows."""
+def scores_of_tables(model: Path, files: Sequence[Path], unit: str | None, named: CsvFormat) -> MonitoredScores:
+    """Scores of the rows of CSV files under a saved regressor, in the order of files and rows.
+
+    Files are written as the one learnt from, except for what is `named`.
+    """
     reg = ConformalRegressor.load(model)
     calibrator = reg.calibrator_
     targets = reg.bins_.names
@@ -33,7 +37,7 @@ def scores_of_tables(model: Path, files: Sequence[Path], unit: str | None, sep: 
     if of_units != (unit is not None):
         expected = "name the column of the units that calibrate" if of_units else "be left out: rows calibrate"
         raise TableError(f"{model}: --unit must {expected}")
-    parts = [_scored_rows(reg, file, unit, sep) for file in files]
+    parts = [_scored_rows(reg, file, unit, named) for file in files]
     names = [name for part in parts for name in part.names]
     before, new = calibrator.columns(calibrator.scores_), np.concatenate([part.scores for part in parts])
     noun, labels, new_labels = "row", None, None
@@ -62,16 +66,12 @@ class _ScoredRows:
     labels: list[Any]  # of units or groups
 
 
-def _scored_rows(reg: ConformalRegressor, file: Path, unit: str | None, sep: str | None) -> _ScoredRows:
-    how = getattr(reg, "file_format_", {})
+def _scored_rows(reg: ConformalRegressor, file: Path, unit: str | None, named: CsvFormat) -> _ScoredRows:
     targets, label = list(reg.bins_.names or ()), unit if unit is not None else reg.group_column_
-    written = dict(how.get("csv", {}))
-    if "units" in how:
-        written["units"] = {name: how["units"].get(name, "") for name in [*reg.columns_, *targets]}
-    frame, notes = read_table(file, CsvFormat("\t" if sep == r"\t" else sep, **written))
+    needed = [*targets, *([] if label is None else [label])]
+    frame, notes = read_table(file, as_learnt(reg, named, needed))
     for note in notes:
         report_line(note)
-    needed = [*targets, *([] if label is None else [label])]
     for name in needed:
         if name not in frame:
             raise TableError(f"{file}: has no column {name!r}, which is needed to score rows")

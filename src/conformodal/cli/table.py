@@ -24,11 +24,13 @@ from conformodal.conformal.density.encoder import as_column, varying_parts
 from conformodal.conformal.saving import check_replaceable
 from conformodal.core.arrays import AnyArray, evenly_spread
 from conformodal.core.extras import require_extra
+from conformodal.core.files import check_writable_file
 from conformodal.core.words import counted, listed, readable
 
 from .console import OUTPUT_PANEL, AsJson, Group, Quiet, print_json, report_line, warning_lines
-from .table_csv import CsvFormat, TableError, date_formats, read_table
-from .table_predict import DateFormats, DecimalMark, NaValues, Separator, ThousandsMark, predict
+from .table_csv import TableError, read_table
+from .table_options import DateFormats, DecimalMark, NaValues, Separator, ThousandsMark
+from .table_predict import named_format, predict
 
 _FEWEST_ROWS = 50  # a fifth is tested, and a fifth of the rest calibrates
 _SHOWN, _NAMED, _MAX_DRAWN = 3, 20, 200  # rows, columns, rows of a picture
@@ -99,9 +101,8 @@ def fit(
     _check_outputs(plot, model)
     if unit is not None and (group or split is RowSplit.TIME):
         raise TableError("--unit cannot be used with --group or --split time")
-    written: dict[str, Any] = {"decimal": decimal, "thousands": thousands}
-    written |= {"na_values": na_values or [], "dates": date_formats(date or [])}
-    frame, notes = read_table(file, CsvFormat("\t" if sep == r"\t" else sep, **written))
+    named = named_format(sep, decimal, thousands, na_values, date)
+    frame, notes = read_table(file, named)
     left_out = [name for given in exclude or () for name in ([given] if given in frame else given.split(","))]
     left_out += [] if unit is None else [unit]
     X, y, more = choose_columns(frame, target, group, str(file), left_out)
@@ -142,7 +143,8 @@ def fit(
         others, form = frame.drop(columns=[*X, *y]), frame.attrs["format"]
         reg.file_format_ = {
             "identifiers": [str(name) for name in others if others[name].nunique() > 1],
-            "csv": {**written, "day_first": form["day_first"], "labels": form["labels"]},
+            "csv": {name: getattr(named, name) for name in ("decimal", "thousands", "na_values", "dates")}
+            | {name: form[name] for name in ("day_first", "labels")},
             "units": form["units"],
         }
         reg.save(model)
@@ -178,6 +180,8 @@ def _split_rows(
 
 def _check_outputs(plot: Path | None, model: Path | None) -> None:
     """Refuse to write over what this command has not written, and without the extras, before any work begins."""
+    for path in filter(None, (plot, model)):
+        check_writable_file(path)
     if plot is not None:
         ours = not plot.exists() or (plot.is_file() and b"conformodal" in plot.read_bytes())
         if plot.suffix not in _PICTURES or not ours:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,25 +17,16 @@ from conformodal.conformal import ConformalRegressor
 from conformodal.conformal.tables import input_columns
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
-from conformodal.core.files import replacing
+from conformodal.core.files import check_writable_file, naming_file, remove_leftovers, replacing
 from conformodal.core.words import counted, finite_or_none, listed
 
 from .console import Quiet, progress_bars, report_line, warning_lines
 from .table_csv import CsvFormat, TableError, date_formats, read_table
+from .table_options import DateFormats, DecimalMark, NaValues, Separator, ThousandsMark
 
 _ROWS = 65_536  # at once, and of a row group that is written
 _PARQUET, _CSV = ".parquet", ".csv"
 _LONGEST = 200  # characters of a note
-_reading = partial(typer.Option, rich_help_panel="How a CSV file is written")
-Separator = Annotated[str | None, _reading("--sep", help="Separator; recognised by default.")]
-DecimalMark = Annotated[str | None, _reading("--decimal", help="Mark before decimals; recognised by default.")]
-ThousandsMark = Annotated[str | None, _reading("--thousands", help="Mark between thousands; none by default.")]
-NaValues = Annotated[
-    list[str] | None, _reading("--na-values", "--na", help="Text that means a missing value; repeatable.")
-]
-DateFormats = Annotated[
-    list[str] | None, _reading("--date", help="COLUMN=FORMAT of dates, such as 'sold=%d.%m.%y'; repeatable.")
-]
 
 
 def predict(
@@ -59,19 +49,15 @@ def predict(
         raise TableError(f"{out}: --out must end in {_CSV} or {_PARQUET}")
     with require_extra("table", "conformodal table predict"):
         import_module("pyarrow")
+    check_writable_file(out)
     reg = ConformalRegressor.load(model)
-    how = getattr(reg, "file_format_", {})
-    named = {"decimal": decimal, "thousands": thousands, "na_values": na_values, "dates": date_formats(date or [])}
-    written = how.get("csv", {}) | {name: value for name, value in named.items() if value}
-    written = {**written, "verbatim": how.get("identifiers", ())}
-    if "units" in how:
-        written["units"] = {name: how["units"].get(name, "") for name in reg.columns_}
-    names, n_rows, chunks = _open(file, reg, CsvFormat("\t" if sep == r"\t" else sep, **written))
+    named = named_format(sep, decimal, thousands, na_values, date)
+    names, n_rows, chunks = _open(file, reg, as_learnt(reg, named))
     if not n_rows:
         raise TableError(f"{file}: holds no rows")
     with _naming(file):
         needed = input_columns(reg, names)
-    copied = [name for name in how.get("identifiers", ()) if name in names]
+    copied = [name for name in getattr(reg, "file_format_", {}).get("identifiers", ()) if name in names]
     others = [name for name in names if name not in (*needed, *copied)]
     if copied:
         report_line(f"copied: {listed(copied)}")
@@ -97,6 +83,31 @@ def predict(
         again = f" (and {counted(len(told) - 1, 'warning')} of other rows)" if len(told) > 1 else ""
         report_line(f"note: {told[0]}{again}", bold=True)
     report_line(f"regions of {counted(done, 'row')}: {out.resolve()}")
+
+
+def named_format(
+    sep: str | None,
+    decimal: str | None,
+    thousands: str | None,
+    na_values: Sequence[str] | None,
+    date: Sequence[str] | None,
+) -> CsvFormat:
+    """How a file is written by the options of a command; a shell makes a tab hard to type."""
+    sep = "\t" if sep == r"\t" else sep
+    return CsvFormat(sep, decimal, thousands, na_values or [], dates=date_formats(date or []))
+
+
+def as_learnt(reg: ConformalRegressor, named: CsvFormat, needed: Sequence[str] = ()) -> CsvFormat:
+    """How a new file is written: as the one learnt from, except for what is named.
+
+    Columns `needed` beside the inputs are read as they were then; identifiers stay the text that they are.
+    """
+    how = getattr(reg, "file_format_", {})
+    written = how.get("csv", {}) | {name: value for name, value in vars(named).items() if value}
+    written["verbatim"] = [name for name in how.get("identifiers", ()) if name not in needed]
+    if "units" in how:
+        written["units"] = {name: how["units"].get(name, "") for name in [*reg.columns_, *needed]}
+    return CsvFormat(**written)
 
 
 @contextmanager
@@ -146,18 +157,24 @@ def _writer(out: Path) -> Iterator[Any]:
                 table = table.set_column(j, field.name, [[json.dumps(row) for row in rows]])
         return table
 
+    remove_leftovers(out)
     with replacing(out) as part:
+        with naming_file(out):
+            file = part.open("wb")
         writer: Any = None
 
         def write(table: Any) -> None:
             nonlocal writer
             table = table if out.suffix == _PARQUET else as_text(table)
             kind = parquet.ParquetWriter if out.suffix == _PARQUET else csv.CSVWriter
-            writer = writer or kind(part, table.schema)
-            writer.write_table(table)
+            with naming_file(out):
+                writer = writer or kind(file, table.schema)
+                writer.write_table(table)
 
         try:
             yield write
         finally:
-            if writer is not None:
-                writer.close()
+            with naming_file(out):
+                if writer is not None:
+                    writer.close()
+                file.close()

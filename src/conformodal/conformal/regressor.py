@@ -47,6 +47,7 @@ from .density.encoder import (
     column_of,
     columns_where,
     dates_of_text,
+    first_other_than_dates,
     is_empty,
     is_frame,
     is_text,
@@ -413,7 +414,10 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             firsts = {j: next(text for text in column_of(X, j) if isinstance(text, str)) for j in found}
             self.text_dates_ = {str(X.columns[j]): text for j, text in firsts.items()}
         elif missed := [X.columns[j] for j in asked if j not in found and not is_empty(column_of(X, j))]:
-            raise ConformodalError(f"column {missed[0]} held dates in training, and holds other text now")
+            column = column_of(X, list(X.columns).index(missed[0]))
+            row = first_other_than_dates(column) or 0
+            told = f"got {brief(list(column)[row])} in row {row} (from 0)"
+            raise ConformodalError(f"column {missed[0]} held dates in training, {told}; a missing date is None or NaT")
         return with_columns(X, found) if found else X
 
     def _table(self, X: Any, y: Any, reset: bool = False) -> tuple[Any, FloatArray, list[str] | None]:

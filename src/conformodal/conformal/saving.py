@@ -15,7 +15,7 @@ import sklearn
 
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
-from conformodal.core.files import foreign_kind, read_file, replacing
+from conformodal.core.files import foreign_kind, read_file, remove_leftovers, write_whole
 from conformodal.core.words import describe_format
 
 from .checks import brief
@@ -64,8 +64,8 @@ def save_regressor(regressor: Any, path: str | Path) -> None:
             _unpacked(content := skops.io.dumps(record))
     except Exception as exc:  # whatever a foreign class raises
         raise ConformodalError(f"{path}: estimator cannot be saved: {brief(exc, 300)}") from exc
-    with replacing(Path(path)) as part:
-        part.write_bytes(content)
+    remove_leftovers(Path(path))
+    write_whole(Path(path), content)
 
 
 def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:

@@ -74,10 +74,13 @@ def as_inputs(reg: TableRegressor, table: Any) -> Any:
         with require_extra("table", "reading text as dates"):
             import pandas as pd  # noqa: PLC0415 - an extra
         text = column.astype("str")
-        if column.dtype.kind in "biuf" or not text[column.notna()].str.match(r"\d{4}\D|\d{8}T").all():
-            shown = f"got {brief(column.dropna().head(1).tolist())}"
+        dates = pd.to_datetime(text.where(column.notna()), format="ISO8601", utc=True, errors="coerce")
+        others = column.notna() & ~(dates.notna() & text.str.match(r"\d{4}\D|\d{8}T"))
+        others |= column.notna() & (column.dtype.kind in "biuf")
+        if others.any():
+            row = int(others.to_numpy().argmax())
+            shown = f"got {brief(column.iloc[row])} in row {row} (from 0)"
             raise ConformodalError(f"column {name} held dates in training, {shown}: convert it with pandas.to_datetime")
-        dates = pd.to_datetime(text.where(column.notna()), format="ISO8601", utc=True)
         frame = frame.assign(**{name: dates if memory.zone else dates.dt.tz_localize(None)})
     return frame
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import errno
+import glob
 import os
 import shutil
 import tempfile
@@ -79,25 +80,65 @@ def read_file(path: Path | str) -> bytes:
     return content
 
 
+def check_writable_file(path: Path) -> None:
+    """Refuse a file that could not be written where it is to be, before the work whose result it is; makes nothing."""
+    with naming_file(path):
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "is a folder")
+        folder = next(each for each in path.absolute().parents if each.exists())
+        with tempfile.TemporaryFile(dir=folder) as probe:
+            probe.write(b"probe")
+
+
 def write_whole(path: Path, content: bytes | str) -> None:
     """Write a file atomically: readers never see half of it, and a failure leaves the old one.
 
     Text that UTF-8 cannot encode, such as undecodable bytes of a file name, is written with backslashes.
     """
     data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
-    with replacing(path) as part:
+    with replacing(path) as part, naming_file(path):
         part.write_bytes(data)
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary file to write; it replaces `path` on success and is removed on failure."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}{PART}")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield part
-        part.replace(path)
+        with naming_file(path):
+            part.replace(path)
     except BaseException:
         with suppress(OSError):
             part.unlink()
         raise
+
+
+@contextmanager
+def naming_file(path: Path) -> Iterator[None]:
+    """Name a file in what the system refuses about it: a full disk does not say what was being written."""
+    try:
+        yield
+    except OSError as exc:
+        exc.filename, exc.filename2 = os.fspath(path), None
+        raise
+
+
+def remove_leftovers(path: Path) -> None:
+    """Remove what processes that were killed have left of writing a file."""
+    for part in path.parent.glob(f".{glob.escape(path.name)}.*{PART}"):
+        process = part.name.removeprefix(f".{path.name}.").partition("-")[0]
+        with suppress(OSError, OverflowError):
+            if process.isdigit() and os.name == "posix" and not _is_running(int(process)):
+                part.unlink()
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # another user's
+        return True
+    return True

@@ -16,7 +16,7 @@ import numpy as np
 
 from conformodal.conformal import ConformodalError
 from conformodal.core.arrays import BoolArray, FloatArray
-from conformodal.core.files import read_file, write_whole
+from conformodal.core.files import naming_file, read_file, write_whole
 from conformodal.core.words import finite_or_none
 from conformodal.geometry import TARGET_NAMES, Trajectory, pose_targets
 from conformodal.io.folders import FolderError, writing_in
@@ -154,7 +154,7 @@ class ResultsWriter:
     def __init__(self, folder: Path, answer: str = METHODS[0]) -> None:
         self.folder = folder
         self.answer = answer  # the method whose poses are the answer
-        self.records: list[dict[str, Any]] = []  # of all regions so far
+        self.n_regions = 0  # written so far
         self._open: dict[str, TextIO] = {}
         (folder / "methods").mkdir(parents=True, exist_ok=True)
         self._remove_unfinished()
@@ -167,7 +167,7 @@ class ResultsWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._close()
-        if kind is not None and not self.records:
+        if kind is not None and not self.n_regions:
             self._remove_unfinished()
 
     def publish(self, metrics: dict[str, Any]) -> None:
@@ -196,7 +196,12 @@ class ResultsWriter:
     def region(self, record: dict[str, Any]) -> None:
         """Write the region of the next frame, from :func:`record_of`."""
         self._write(REGIONS, [json.dumps(record)])
-        self.records.append(record)
+        self.n_regions += 1
+
+    def records(self) -> Iterator[dict[str, Any]]:
+        """The records of all regions so far, read from the file one by one: a long run has no room for them."""
+        with self.unfinished(REGIONS).open(encoding="utf-8") as file:
+            yield from map(json.loads, file)
 
     def poses(self, method: str, trajectory: Trajectory) -> None:
         """Write the next poses of a method."""
@@ -212,16 +217,18 @@ class ResultsWriter:
         return {name: _digest(self.unfinished(name)) for name in (REGIONS, TRAJECTORY)}
 
     def _write(self, name: str, lines: Sequence[str]) -> None:
-        if name not in self._open:
-            # line buffered, so that others can follow a run
-            self._open[name] = self.unfinished(name).open("w", encoding="utf-8", buffering=1)
-            lines = [TUM_HEADER, *lines] if name.endswith(".tum") else lines
-        for line in lines:
-            self._open[name].write(f"{line}\n")
+        with naming_file(self.unfinished(name)):
+            if name not in self._open:
+                # line buffered, so that others can follow a run
+                self._open[name] = self.unfinished(name).open("w", encoding="utf-8", buffering=1)
+                lines = [TUM_HEADER, *lines] if name.endswith(".tum") else lines
+            for line in lines:
+                self._open[name].write(f"{line}\n")
 
     def _close(self) -> None:
-        for file in self._open.values():
-            file.close()
+        for name, file in self._open.items():
+            with naming_file(self.unfinished(name)):
+                file.close()
 
     def _remove_unfinished(self) -> None:
         for path in [*self.folder.glob(f"*{UNFINISHED}"), *self.folder.glob(f"methods/*{UNFINISHED}")]:
@@ -229,7 +236,10 @@ class ResultsWriter:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(read_file(path)).hexdigest() if path.is_file() else ""
+    if not path.is_file():
+        return ""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_metrics(folder: Path, metrics: dict[str, Any]) -> None:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, Self
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, TYPE_CHECKING, Any, Self
+
+import numpy as np
 
 from conformodal.core.arrays import IntArray
+from conformodal.core.files import naming_file
 from conformodal.core.parallel import release_freed_memory
-from conformodal.geometry import Trajectory, concatenate
+from conformodal.geometry import Trajectory
 from conformodal.io.streams.frames import Frame, SourceError
 from conformodal.localizer.filter import hindsight_posteriors
 from conformodal.localizer.observations import MotionPrior, Observations, PosePath, Posterior, choose_places
@@ -73,6 +78,32 @@ class StreamClock:
         return ""
 
 
+class PoseStore:
+    """Poses in the order in which they come, eight numbers each: in an unnamed file of a folder, or in memory."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._folder = folder or Path()
+        self._file: IO[bytes] = BytesIO() if folder is None else TemporaryFile(dir=folder)  # noqa: SIM115
+
+    def add(self, poses: Trajectory) -> None:
+        """Append poses."""
+        rows = (poses.timestamps_s, poses.positions_xyz, poses.orientations_quat_wxyz)
+        with naming_file(self._folder):
+            self._file.write(np.column_stack(rows).tobytes())
+
+    def read(self) -> Trajectory:
+        """All poses so far."""
+        with naming_file(self._folder):  # what waits to be written is written first
+            self._file.seek(0)
+        rows = np.frombuffer(self._file.read()).reshape(-1, 8)
+        return Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:])
+
+    def close(self) -> None:
+        """Let go of the file."""
+        with naming_file(self._folder):
+            self._file.close()
+
+
 class StreamRunner:
     """Takes frames one by one, answers each, and writes the answers.
 
@@ -105,7 +136,8 @@ class StreamRunner:
         self.problems: dict[str, str] = {}  # of the first hundred frames without an image, by name
         self.hindsight_regions: list[PoseRegions] = []  # of all frames so far, if they are kept and the model has them
         self._keep_regions = keep_regions
-        self._poses: defaultdict[str, list[Trajectory]] = defaultdict(list)
+        self._poses: dict[str, PoseStore] = {}
+        self._trajectories: dict[str, Trajectory] = {}
         self._pending: list[tuple[Estimate, Trajectory | None]] = []  # with the truth; their final answer is to come
         self._n_written = 0  # of the pending, which stay to tell of those that follow
         self._recording: int | None = None
@@ -116,14 +148,13 @@ class StreamRunner:
 
     @property
     def trajectories(self) -> dict[str, Trajectory]:
-        """The poses so far by method, the answer first."""
-        ordered = sorted(self._poses, key=lambda method: method != self.estimator.answer)
-        return {method: concatenate(self._poses[method]) for method in ordered}
+        """The poses by method, the answer first, once the stream is finished."""
+        return self._trajectories
 
     @property
     def path_coverage(self) -> dict[str, Any] | None:
         """Of the regions from posteriors; None where the model has none or no truth is known."""
-        return self.scores.path_coverage(self.trajectories[ONLINE]) if ONLINE in self._poses else None
+        return self.scores.path_coverage(self.trajectories[ONLINE]) if ONLINE in self.trajectories else None
 
     def push(self, frame: Frame) -> Estimate | None:
         """Take the next frame; None where it wants no answer, or has no time, which is a problem of that frame alone.
@@ -151,12 +182,20 @@ class StreamRunner:
         """Write the answers that waited for more frames; also what a run that is stopped ends with."""
         self._flush(everything=True)
         self._pool.shutdown()
+        ordered = sorted(self._poses, key=lambda method: method != self.estimator.answer)
+        self._trajectories = {method: self._poses[method].read() for method in ordered}
+        self._close()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
         self._pool.shutdown(cancel_futures=True)  # the window that is being answered still writes
+        self._close()
+
+    def _close(self) -> None:
+        for store in self._poses.values():
+            store.close()
 
     def _note(self, frame: Frame, problem: str) -> None:
         self.n_problems += 1
@@ -185,7 +224,9 @@ class StreamRunner:
             self._flush(everything=False)
 
     def _add_poses(self, method: str, trajectory: Trajectory) -> None:
-        self._poses[method].append(trajectory)
+        if method not in self._poses:
+            self._poses[method] = PoseStore(None if self.writer is None else self.writer.folder)
+        self._poses[method].add(trajectory)
         if self.writer is not None:
             self.writer.poses(method, trajectory)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,6 +16,16 @@ from .config import Method
 from .estimates import Estimate
 from .evaluate import RegionStatistics, path_coverage_table
 from .model import HINDSIGHT, ONLINE, PoseModel
+
+_MERGED = 1000  # rows of a part: arrays of one row each take ten times as much memory
+Part = TypeVar("Part", RegionStatistics, Trajectory)
+
+
+def _gather(parts: list[Part], row: Part, merge: Callable[[list[Part]], Part]) -> None:
+    """Append a part of one row; a thousand of them become one part."""
+    parts.append(row)
+    if len(parts) >= _MERGED and len(parts[-_MERGED]) == 1:
+        parts[-_MERGED:] = [merge(parts[-_MERGED:])]
 
 
 class StreamScores:
@@ -76,8 +87,9 @@ class StreamScores:
         assert estimate.evidence is not None
         rooms = None if estimate.localization is None else estimate.localization.rooms
         sign, kind = self._model.sign_reference, np.array([estimate.evidence])
-        self._statistics.append(RegionStatistics.of(estimate.region, truth, sign, kind, rooms))
-        self._true_poses.append(truth)
+        of_frame = RegionStatistics.of(estimate.region, truth, sign, kind, rooms)
+        _gather(self._statistics, of_frame, RegionStatistics.concatenate)
+        _gather(self._true_poses, truth, concatenate)
         self.rows_with_truth.append(answer)
         self._reliable.append(estimate.reliable)
         self.add_path(ONLINE, estimate.path_region, truth)
@@ -85,4 +97,5 @@ class StreamScores:
     def add_path(self, path: str, region: PoseRegions | None, truth: Trajectory) -> None:
         """Count a region from posteriors, one of :data:`~conformodal.pipeline.model.PATHS`, if there is one."""
         if region is not None:
-            self._path_statistics[path].append(RegionStatistics.of(region, truth, self._model.sign_reference))
+            of_frame = RegionStatistics.of(region, truth, self._model.sign_reference)
+            _gather(self._path_statistics[path], of_frame, RegionStatistics.concatenate)

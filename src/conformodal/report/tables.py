@@ -12,7 +12,7 @@ import numpy.typing as npt
 from conformodal.conformal import ConformodalError, Diagnosis, PredictiveDensity, Regions
 from conformodal.conformal.checks import as_finite, as_targets
 from conformodal.core.extras import require_extra
-from conformodal.core.files import replacing
+from conformodal.core.files import naming_file, remove_leftovers, replacing
 
 with require_extra("figures", "a picture of regions or coverage"):
     from matplotlib.axes import Axes
@@ -142,5 +142,6 @@ def _new_figure(**options: Any) -> Figure:
 
 def save_picture(figure: Figure, path: Path) -> None:
     """Write a figure as what its suffix says, marked as a picture of this package."""
-    with replacing(path) as part:
+    remove_leftovers(path)
+    with replacing(path) as part, naming_file(path):
         figure.savefig(part, format=path.suffix[1:] or None, metadata={"Creator": "conformodal"})

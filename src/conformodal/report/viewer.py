@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice, product
 from math import inf
@@ -61,7 +61,7 @@ class Surroundings:
 
 
 def make_viewer(
-    records: Sequence[dict[str, Any]],
+    records: Iterable[dict[str, Any]],
     trajectories: Mapping[str, Trajectory],
     truth: Trajectory | None = None,
     images: Mapping[str, bytes] | None = None,
@@ -74,22 +74,31 @@ def make_viewer(
     name: where there are some, the frames shown are among these. `level` is the p-value at or below which an image
     shows no known place.
     """
-    n, images, around = len(records), images or {}, surroundings or Surroundings()
     answer, classical = next(iter(trajectories.values())), trajectories.get("classical")
+    n, images, around = len(answer), images or {}, surroundings or Surroundings()
+    flat = sorted(np.argsort(-np.ptp(answer.positions_xyz, axis=0))[:2].tolist())
     truth = truth if truth is not None and len(truth) == n else None
-    frames = [_region_of(record) for record in records]
-    _add_poses(frames, answer, truth, classical)
-    holds_pose = records_hold(records, answer, None)
-    holds_truth = np.zeros(n, dtype=np.bool_) if truth is None else records_hold(records, truth, None)
-    for i, frame in enumerate(frames):
-        if truth is not None:
+    stride = max(1, -(-n // MAX_FRAMES))
+    chosen = [
+        (i, one) for i, one in enumerate(records) if (one["frame"] in images if images else i % stride == 0)
+    ]  # the others are let go one by one
+    rows = np.array([i for i, _ in chosen], dtype=np.int64)
+    answer, truth, classical = (
+        answer[rows],
+        None if truth is None else truth[rows],
+        None if classical is None else classical[rows],
+    )
+    some = [one for _, one in chosen]
+    shown = [_region_of(one) for one in some]
+    _add_poses(shown, answer, truth, classical)
+    holds_pose = records_hold(some, answer, None)
+    holds_truth = None if truth is None else records_hold(some, truth, None)
+    for i, frame in enumerate(shown):
+        if holds_truth is not None:
             frame["held"] = bool(holds_truth[i])
         frame["say"] = _describe_frame(frame, around.unit, holds_pose=bool(holds_pose[i]))
-    stride = max(1, -(-n // MAX_FRAMES))
-    shown = [frame for i, frame in enumerate(frames) if (frame["n"] in images if images else i % stride == 0)]
-    for frame in shown if images else ():
-        frame["img"] = base64.b64encode(images[frame["n"]]).decode()
-    flat = sorted(np.argsort(-np.ptp(answer.positions_xyz, axis=0))[:2].tolist())
+        if images:
+            frame["img"] = base64.b64encode(images[frame["n"]]).decode()
     data = {
         "frames": shown,
         "trained": around.trained_xyz[evenly_spread(len(around.trained_xyz), MAX_FRAMES)].round(3).tolist(),

@@ -84,20 +84,25 @@ def _without_zone(value: date) -> date:
 
 def dates_of_text(column: Any) -> AnyArray | None:
     """Times (n,) in UTC of a column of ISO 8601 text with year, month and day; None if it holds anything else."""
-    values = np.asarray(column, dtype=object)
     known: dict[Any, Any] = {}
-    for value in values:
-        if isinstance(value, str):
-            if value not in known:
-                if not _ISO_DATE.match(value):
-                    return None
-                try:
-                    known[value] = _without_zone(datetime.fromisoformat(value))
-                except ValueError:
-                    return None
-        elif not is_missing(value):
-            return None
-    return np.array([known.get(value) for value in values], dtype="M8[us]") if known else None
+    if first_other_than_dates(column, known) is not None or not known:
+        return None
+    return np.array([known.get(value) for value in np.asarray(column, dtype=object)], dtype="M8[us]")
+
+
+def first_other_than_dates(column: Any, known: dict[Any, Any] | None = None) -> int | None:
+    """The first row, from 0, that is neither missing nor ISO 8601 text of a date; the dates before it join `known`."""
+    known = {} if known is None else known
+    for row, value in enumerate(np.asarray(column, dtype=object)):
+        if is_missing(value) or (isinstance(value, str) and value in known):
+            continue
+        if not (isinstance(value, str) and _ISO_DATE.match(value)):
+            return row
+        try:
+            known[value] = _without_zone(datetime.fromisoformat(value))
+        except ValueError:
+            return row
+    return None
 
 
 def with_columns(X: Any, changed: dict[int, AnyArray]) -> Any:

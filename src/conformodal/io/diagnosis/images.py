@@ -219,6 +219,8 @@ def _best_axes(poses_se3: FloatArray, matches: _Matches, rays: FloatArray, camer
     remedies = list(dict.fromkeys(change.remedy for change in same))[:_MAX_NAMES]
     remedy = "; or: ".join(remedies) + "; images of such a path cannot tell which" * (len(remedies) > 1)
     told = f"they fit with {what}, where camera-to-world and OpenCV's axes are assumed"
+    if len(whats) > 1:
+        told += f"; {whats[0]} is named first as the most usual among others, {len(whats)} in all, that fit alike"
     return same[0]._replace(what=told, remedy=remedy)
 
 
