@@ -180,8 +180,6 @@ def _split_rows(
 
 def _check_outputs(plot: Path | None, model: Path | None) -> None:
     """Refuse to write over what this command has not written, and without the extras, before any work begins."""
-    for path in filter(None, (plot, model)):
-        check_writable_file(path)
     if plot is not None:
         ours = not plot.exists() or (plot.is_file() and b"conformodal" in plot.read_bytes())
         if plot.suffix not in _PICTURES or not ours:
@@ -192,6 +190,8 @@ def _check_outputs(plot: Path | None, model: Path | None) -> None:
         check_replaceable(model)
         with require_extra("save", "--model"):
             import_module("skops")
+    for path in filter(None, (plot, model)):
+        check_writable_file(path)
 
 
 def _draw(density: PredictiveDensity, regions: Regions, y: pd.DataFrame, diagnosis: Diagnosis, plot: Path) -> None:
