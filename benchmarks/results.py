@@ -47,6 +47,10 @@ UNITS = {
     "peers": Unit("peers/run.py --measure", 35, 2),
     "growth": Unit("growth.py", 20, 2),
     "table1": Unit("table1.py --seeds 1 --first-seed 30", 28, 2),
+    "extend": Unit("extend.py --orders 1 --simulated 1000", 20),
+    "monitor": Unit("monitor.py --sequences 10000", 5),
+    "score_stream": Unit("score_stream.py", 1),
+    "long_stream": Unit("long_stream.py --frames 2500", 5),
     "costs": Unit("costs.py", 10, 2),  # timings: nothing beside it
     "streaming": Unit("streaming.py", 15, 2),
 }

@@ -39,6 +39,13 @@ def test_a_table_that_is_cited_is_of_a_clean_revision_in_the_history(table):
     assert not [r for r in revisions if git("merge-base", "--is-ancestor", r, "HEAD").returncode]
 
 
+def test_all_tables_are_measured_again_by_one_command():
+    units = text_of(ROOT / "benchmarks" / "results.py")
+    tables = sorted((ROOT / "benchmarks" / "results").glob("*.md"))
+    scripts = {path.name: re.search(r"`python benchmarks/([\w/]+\.py)", text_of(path))[1] for path in tables}
+    assert not [name for name, script in scripts.items() if f'Unit("{script}' not in units]
+
+
 QUOTES = runpy.run_path(str(ROOT / "benchmarks" / "quotes.py"))
 
 
