@@ -58,6 +58,12 @@ def page_of(template: Path) -> Path:
     return ROOT / template.relative_to(TEMPLATES)
 
 
+def written(template: Path) -> str:
+    """What the page of a template says."""
+    note = f"<!-- written from {template.relative_to(ROOT)}: edit that, then run benchmarks/quotes.py --write -->"
+    return f"{QUOTE.sub(quoted, template.read_text(encoding='utf-8'))}\n{note}\n"
+
+
 def faults(text: str) -> list[str]:
     """Quotes of a template without a number, and measured numbers that are not quoted."""
     wrong = []
@@ -93,17 +99,15 @@ def main() -> int:
     options = parser.parse_args()
     wrong = stale_tables() if options.release else []
     for template in templates():
-        page, text = page_of(template), template.read_text(encoding="utf-8")
-        of_template = [f"{template.relative_to(ROOT)}: {fault}" for fault in faults(text)]
+        page, name = page_of(template), template.relative_to(ROOT)
+        of_template = [f"{name}: {fault}" for fault in faults(template.read_text(encoding="utf-8"))]
         wrong += of_template
         if of_template:
             continue
-        written = QUOTE.sub(quoted, text)
         if options.write:
-            page.write_text(written, encoding="utf-8")
-        elif not page.is_file() or page.read_text(encoding="utf-8") != written:
-            name = page.relative_to(ROOT)
-            wrong.append(f"{name}: is not what {template.relative_to(ROOT)} gives: run benchmarks/quotes.py --write")
+            page.write_text(written(template), encoding="utf-8")
+        elif not page.is_file() or page.read_text(encoding="utf-8") != written(template):
+            wrong.append(f"{page.relative_to(ROOT)}: is not what {name} gives: run benchmarks/quotes.py --write")
     sys.stdout.writelines(f"{line}\n" for line in wrong)
     return int(bool(wrong))
 
