@@ -174,7 +174,6 @@ def _writer(out: Path) -> Iterator[Any]:
         try:
             yield write
         finally:
-            with naming_file(out):
+            with naming_file(out), file:
                 if writer is not None:
                     writer.close()
-                file.close()

@@ -6,14 +6,19 @@ import atexit
 import errno
 import glob
 import os
+import platform
 import shutil
 import tempfile
 import threading
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from .errors import ConformodalError
+
 PART = ".conformodal-part"  # ends the names of files that are not finished
+_HOST = f"{zlib.crc32(platform.node().encode()):08x}"  # in these names: processes have numbers of their computer
 _POINTER = b"version https://git-lfs.github.com/spec/"
 _ARCHIVES = {b"PK\x03\x04": "zip", b"\x1f\x8b": "gzip", b"BZh": "bzip2", b"\xfd7zXZ\0": "xz", b"7z\xbc\xaf": "7z"}
 _ARCHIVES |= {b"Rar!": "rar", b"\x28\xb5\x2f\xfd": "zstd"}
@@ -82,12 +87,14 @@ def read_file(path: Path | str) -> bytes:
 
 def check_writable_file(path: Path) -> None:
     """Refuse a file that could not be written where it is to be, before the work whose result it is; makes nothing."""
-    with naming_file(path):
+    try:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "is a folder")
         folder = next(each for each in path.absolute().parents if each.exists())
         with tempfile.TemporaryFile(dir=folder) as probe:
             probe.write(b"probe")
+    except OSError as exc:
+        raise ConformodalError(f"{path}: cannot be written: {exc.strerror or exc}; name another file") from exc
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
@@ -103,7 +110,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary file to write; it replaces `path` on success and is removed on failure."""
-    part = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}{PART}")
+    part = path.with_name(f".{path.name}.{_HOST}.{os.getpid()}-{threading.get_ident()}{PART}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield part
@@ -126,9 +133,9 @@ def naming_file(path: Path) -> Iterator[None]:
 
 
 def remove_leftovers(path: Path) -> None:
-    """Remove what processes that were killed have left of writing a file."""
-    for part in path.parent.glob(f".{glob.escape(path.name)}.*{PART}"):
-        process = part.name.removeprefix(f".{path.name}.").partition("-")[0]
+    """Remove what processes of this computer that were killed have left of writing a file."""
+    for part in path.parent.glob(f".{glob.escape(path.name)}.{_HOST}.*{PART}"):
+        process = part.name.removeprefix(f".{path.name}.{_HOST}.").partition("-")[0]
         with suppress(OSError, OverflowError):
             if process.isdigit() and os.name == "posix" and not _is_running(int(process)):
                 part.unlink()

@@ -64,7 +64,7 @@ class PoseMixture:
         return np.exp(self.log_weights)
 
     def part(self, rows: IntArray | BoolArray) -> Self:
-        """The mixture if one of these hypotheses is right, at least one, in the order of `rows`."""
+        """The mixture if one of these hypotheses is right, in the order of `rows`; not all of them are impossible."""
         chosen = {name: getattr(self, name)[rows] for name in self.__match_args__}
         total = np.logaddexp.reduce(chosen["log_weights"])
         return type(self)(**chosen | {"log_weights": chosen["log_weights"] - total})

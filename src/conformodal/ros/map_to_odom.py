@@ -1,4 +1,4 @@
-"""What Nav2 expects of a localiser: the transform from odometry's frame to the map's, and whether it is kept up.
+"""What Nav2 expects of a localizer: the transform from odometry's frame to the map's, and whether it is kept up.
 
 Odometry says where the robot's base is in a frame that drifts, ``T_odom_base``; a reliable pose says where that frame
 lies in the map: ``T_map_odom = T_map_cam T_cam_base T_base_odom``, all at the time of the image.
@@ -32,7 +32,7 @@ class MapToOdom:
     def reset(self) -> None:
         """Forget odometry: time was set back."""
         self._T_map_odom: FloatArray | None = None
-        self._image_ns = self._kept_ns = self._sent_ns = 0  # of the last image, reliable pose, and transform
+        self._image_ns = self._reliable_ns = self._sent_ns = 0  # of the last image, reliable pose, and transform
         self._reliable = False  # whether there was a reliable pose at all
         self._problem, self._missing = "no image yet", ""
 
@@ -50,7 +50,7 @@ class MapToOdom:
         T_map_cam = estimate.pose.pose_se3
         T_map_base = T_map_cam @ np.linalg.inv(T_base_cam)
         if estimate.reliable:
-            self._keep(T_map_base, stamp_ns)
+            self._place_odometry(T_map_base, stamp_ns)
         covariance = covariance_at(estimate.covariance, T_map_base[:3, 3] - T_map_cam[:3, 3])
         return self._conversion.uncertain(header, self._conversion.pose_of(T_map_base), covariance)
 
@@ -71,7 +71,7 @@ class MapToOdom:
 
     def status(self, now_ns: int, elapsed_ns: int = 0) -> Any:
         """A message for ``/diagnostics``, so many nanoseconds after the last image."""
-        still_s = (self._image_ns + elapsed_ns - self._kept_ns) / NANOSECONDS if self._reliable else None
+        still_s = (self._image_ns + elapsed_ns - self._reliable_ns) / NANOSECONDS if self._reliable else None
         stands = "standing still" if self._given.publish_tf else "no reliable pose"
         if self._missing:
             level, text = ERROR, self._missing
@@ -84,7 +84,7 @@ class MapToOdom:
         pairs = {"seconds since a reliable pose": "never" if still_s is None else f"{still_s:.3f}"}
         return self._conversion.diagnostic(self._conversion.header(now_ns), level, "localization", text, pairs)
 
-    def _keep(self, T_map_base: FloatArray, stamp_ns: int) -> None:
+    def _place_odometry(self, T_map_base: FloatArray, stamp_ns: int) -> None:
         given = self._given
         if given.publish_tf:
             try:
@@ -93,4 +93,4 @@ class MapToOdom:
                 self._missing = str(exc)
                 return
             self._T_map_odom = map_from_odom(T_map_base, T_odom_base, planar=given.planar)
-        self._kept_ns, self._reliable = stamp_ns, True
+        self._reliable_ns, self._reliable = stamp_ns, True

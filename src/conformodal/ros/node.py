@@ -102,7 +102,8 @@ class PoseNode:
         self._topic = str(getattr(images, "topic_name", "image"))  # remapped: whether it is rectified
         node.create_subscription(message_class(ros_messages.INFO), "camera_info", self.on_camera_info, sensor)
         node.create_subscription(message_class(TOPICS["pose"]), "initialpose", self.on_initial_pose, _DEPTH)
-        self._refresh_ns = round(given.transform_tolerance * NANOSECONDS / 2)
+        # no later than half the tolerance after the last one, wherever the answer lies between two calls of the timer
+        self._refresh_ns = round(given.transform_tolerance * NANOSECONDS / 4)
         node.create_timer(given.silent_s, self.on_time)
         node.create_timer(self._refresh_ns / NANOSECONDS, self.on_refresh)
         node.create_timer(_STATUS_S, self.on_status)
@@ -188,6 +189,8 @@ class PoseNode:
         return True
 
     def _use_initial_pose(self, time_s: float, stamp_ns: int, camera_frame: str) -> None:
+        if time_s == 0:  # there is no time before, at which the path could begin: the next image takes it
+            return
         pose, self._initial_pose = self._initial_pose, None
         if pose is None or not isinstance(self.odometry, VisualOdometry):
             return

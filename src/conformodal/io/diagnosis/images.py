@@ -220,7 +220,7 @@ def _best_axes(poses_se3: FloatArray, matches: _Matches, rays: FloatArray, camer
     remedy = "; or: ".join(remedies) + "; images of such a path cannot tell which" * (len(remedies) > 1)
     told = f"they fit with {what}, where camera-to-world and OpenCV's axes are assumed"
     if len(whats) > 1:
-        told += f"; {whats[0]} is named first as the most usual among others, {len(whats)} in all, that fit alike"
+        told += f"; {whats[0]} is the most usual of {len(whats)} that fit alike"
     return same[0]._replace(what=told, remedy=remedy)
 
 
