@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from conformodal.localizer.filter import start
 from conformodal.localizer.mixtures import PoseMixture, Share, pool
 
 UPRIGHT = np.array([1.0, 0, 0, 0])
@@ -35,3 +36,13 @@ def test_a_pool_holds_all_hypotheses_by_the_ratio_of_the_shares():
     found = pool([Share(mixture(1, 3), np.log(2)), Share(mixture(1, measured=False), np.log(6))])
     np.testing.assert_allclose(found.weights, [0.25 / 4, 0.25 * 3 / 4, 0.75])
     assert found.measured.tolist() == [True, True, False]
+
+
+def test_hypotheses_of_a_posterior_stand_for_themselves_from_the_first_frame_on():
+    """Regions from the frames so far take them as densities; of an image, modes of the softmax are taken as bins."""
+    image = mixture(3, 1, measured=False)
+    first = start(image, known=True)
+    assert first.hypotheses.measured.all()
+    np.testing.assert_array_equal(first.hypotheses.log_weights, image.log_weights)
+    joined = first.with_image(image, 0.1)
+    assert joined.measured.tolist() == [True, True, False, False]

@@ -186,7 +186,8 @@ def new_share(step_s: float) -> float:
 
 def start(evidence: PoseMixture, *, known: bool) -> Posterior:
     """The posterior of a frame from its image alone, which shows a known place or does not."""
-    return Posterior(evidence, _WRONG if known else _WRONG_IF_UNKNOWN)
+    hypotheses = replace(evidence, measured=np.ones(len(evidence), dtype=np.bool_))  # as those of later frames
+    return Posterior(hypotheses, _WRONG if known else _WRONG_IF_UNKNOWN)
 
 
 def _log_density(distance2: FloatArray, log_determinant: FloatArray, normaliser: float) -> FloatArray:
