@@ -24,7 +24,7 @@ from conformodal.corridor import write_corridor
 from conformodal.geometry import Trajectory, pose_targets, poses_at
 from conformodal.geometry.metrics import Similarity, umeyama
 from conformodal.io import Recording, read_recording
-from conformodal.mapping import MapError, build_map
+from conformodal.mapping import MapError, MapSettings, build_map
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import odometry_of
 from conformodal.pipeline.store import load_model, save_model
@@ -78,7 +78,7 @@ def map_of(name: str) -> tuple[dict[str, Any], Path]:
     shutil.rmtree(out, ignore_errors=True)
     began = time.process_time()
     try:
-        made = build_map([images], out, trust_map=True)
+        made = build_map([images], out, settings=MapSettings(trust_map=True))
     except MapError as exc:
         return {"refused": str(exc).partition(": ")[2], "frames": len(chosen)}, out
     mapped, truth = read_recording(out, require_poses=False), recording.poses

@@ -82,7 +82,9 @@ def test_axes_that_fit_alike_on_a_straight_road_are_named_and_which_one_is_chose
     recording = read_recording(real_data("kitti", "sequences", "06"))
     of_ros = changed(recording, partial(bodies, columns=axes.parse_axes("flu")))
     told = diagnose_poses(of_ros).what
-    first, chosen = re.search(r"they fit with (.+?) or .*; (.+) is the most usual of \d+ that fit alike$", told).groups()
+    first, chosen = re.search(
+        r"they fit with (.+?) or .*; (.+) is the most usual of \d+ that fit alike$", told
+    ).groups()
     assert first == chosen
 
 

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -134,7 +135,7 @@ def test_a_video_of_another_place_is_named_and_nothing_is_written(clip, elsewher
     )
     assert named[1] in (str(clip), str(elsewhere))  # the larger piece is the map
     assert list(tmp_path.iterdir()) == []
-    trusted = build_map([clip, elsewhere], out, settings=SETTINGS, trust_map=True)
+    trusted = build_map([clip, elsewhere], out, settings=replace(SETTINGS, trust_map=True))
     assert trusted.written
     assert len(read_recording(out)) == N_FRAMES
     assert not json.loads((out / "map.json").read_text())["trusted"]

@@ -39,7 +39,7 @@ def map(
 ) -> None:
     """Map videos without poses, and write a recording to train on; exit code 1 if the map is not to be trusted."""
     placement = Placement(None if known_length is None else KnownLength(*known_length), positions, up)
-    settings = replace(MapSettings(), max_keyframes=keyframes, seed=seed)
+    settings = replace(MapSettings(), max_keyframes=keyframes, seed=seed, trust_map=trust_map)
     with progress_bars() as report:
         made = build_map(
             videos,
@@ -47,7 +47,6 @@ def map(
             placement=placement,
             camera_file=camera,
             settings=settings,
-            trust_map=trust_map,
             record={"command": "map", "provenance": provenance(), "videos": [str(video) for video in videos]},
             report=report,
         )

@@ -92,7 +92,6 @@ def build_map(
     placement: Placement | None = None,
     camera_file: Path | None = None,
     settings: MapSettings | None = None,
-    trust_map: bool = False,
     record: Mapping[str, Any] | None = None,
     report: StageProgress | None = None,
 ) -> MapReport:
@@ -111,9 +110,7 @@ def build_map(
     camera_file
         ``camera-intrinsics.txt`` of the videos, or its folder, if they are calibrated; else cameras are fitted.
     settings
-        How the map is made.
-    trust_map
-        Write a map although it is not to be trusted.
+        How the map is made, and whether one that is not to be trusted is written.
     record
         What ``map.json`` says besides the result.
     report
@@ -143,7 +140,7 @@ def build_map(
             world=made.world,
             path_length=made.path_length,
             cameras=made.cameras,
-            written=trust_map or not made.reasons,
+            written=settings.trust_map or not made.reasons,
             seconds=time.perf_counter() - started,
             peak_bytes=peak_memory_bytes(),
             notes=tuple(note for clip in clips for note in clip.notes),

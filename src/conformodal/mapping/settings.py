@@ -28,6 +28,7 @@ class MapSettings:
     min_matches: int = 15  # of a pair, after its epipolar geometry is verified
     jpeg_quality: int = 95  # of frames of videos
     seed: int = 0
+    trust_map: bool = False  # write a map although it is not to be trusted
 
 
 def require_pycolmap() -> Any:

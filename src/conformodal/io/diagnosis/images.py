@@ -57,7 +57,7 @@ class Motions(NamedTuple):
     translations: FloatArray  # (..., p, 3)
 
 
-class _Reading(NamedTuple):
+class _PoseReading(NamedTuple):
     """The numbers of the poses, read in some way."""
 
     poses: FloatArray  # (n, 4, 4) of the frames
@@ -225,7 +225,7 @@ def _best_axes(poses_se3: FloatArray, matches: _Matches, rays: FloatArray, camer
 
 
 def _fitting(
-    readings: list[_Reading],
+    readings: list[_PoseReading],
     worlds: FloatArray,
     turns: FloatArray,
     matches: _Matches,
@@ -235,7 +235,7 @@ def _fitting(
     centred: bool,
 ) -> list[_Change]:
     """Turns of axes (t, 3, 3), of the positions' worlds (w, 3, 3) and readings that are nearly as good as the best."""
-    tried, shares = list[tuple[_Reading, FloatArray, FloatArray]](), list[float]()
+    tried, shares = list[tuple[_PoseReading, FloatArray, FloatArray]](), list[float]()
     few = rays[:, ::_SEARCHED]
     for reading in readings:
         for world in worlds:
@@ -257,7 +257,7 @@ def _fitting(
 
 
 def _described(
-    share: float, before: float, reading: _Reading, axes: FloatArray, world: FloatArray | None, *, centred: bool
+    share: float, before: float, reading: _PoseReading, axes: FloatArray, world: FloatArray | None, *, centred: bool
 ) -> _Change:
     """A change in words."""
     parts, remedies = [reading.what], [reading.remedy]
@@ -276,19 +276,21 @@ def _described(
     return _Change(share, " and ".join(filter(None, parts)), "; ".join(filter(None, remedies)), before, rank)
 
 
-def _readings(poses_se3: FloatArray) -> list[_Reading]:
+def _readings(poses_se3: FloatArray) -> list[_PoseReading]:
     """Poses (n, 4, 4) as they are, inverse, and with quaternions whose order is another one."""
     back = np.asarray(np.linalg.inv(poses_se3))
     invert = "'conformodal data convert --world-to-camera' inverts them"
-    readings = [_Reading(poses_se3, "", ""), _Reading(back, "world-to-camera poses", invert)]
+    readings = [_PoseReading(poses_se3, "", ""), _PoseReading(back, "world-to-camera poses", invert)]
     for order, by in (("wxyz", -1), ("xyzw", 1)):  # a file whose order is the other one
         head = _ORDER_REMEDY.format(" ".join(f"q{letter}" for letter in order))
         rolled = _rolled(poses_se3, by)
         inverse = np.asarray(np.linalg.inv(_rolled(back, by)))
         readings += [
-            _Reading(rolled, f"quaternions {order}", head),
-            _Reading(np.asarray(np.linalg.inv(rolled)), f"world-to-camera quaternions {order}", f"{head}; {invert}"),
-            _Reading(inverse, f"quaternions {order} of COLMAP's world-to-camera poses", head),
+            _PoseReading(rolled, f"quaternions {order}", head),
+            _PoseReading(
+                np.asarray(np.linalg.inv(rolled)), f"world-to-camera quaternions {order}", f"{head}; {invert}"
+            ),
+            _PoseReading(inverse, f"quaternions {order} of COLMAP's world-to-camera poses", head),
         ]
     return readings
 

@@ -33,7 +33,7 @@ _BLOCK = 4096
 _GRID, _LEVELS, _CHANGED = 8, 3, 0.01  # every eighth pixel; grey levels; share of these that differ more
 
 
-class Stretch(NamedTuple):
+class StaleStretch(NamedTuple):
     """A value, its row, and the last row that repeats it."""
 
     first: int
@@ -45,11 +45,11 @@ class Stretch(NamedTuple):
         return slice(self.first, self.last + 1)
 
 
-def stretches_of(repeats: BoolArray) -> list[Stretch]:
+def stretches_of(repeats: BoolArray) -> list[StaleStretch]:
     """Stretches of rows (n,) that repeat the one before."""
     edges = np.diff(np.concatenate(([False], repeats, [False])).astype(np.int8))
     starts, ends = np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist()
-    return [Stretch(start - 1, end - 1) for start, end in zip(starts, ends, strict=True)]
+    return [StaleStretch(start - 1, end - 1) for start, end in zip(starts, ends, strict=True)]
 
 
 def repeated_poses(rows: FloatArray, recording: IntArray | None = None) -> BoolArray:
@@ -88,7 +88,7 @@ def stale_poses(
     frames_s: FloatArray,
     images: Sequence[Path],
     recording: IntArray | None = None,
-) -> list[Stretch]:
+) -> list[StaleStretch]:
     """Stretches of poses (n, 7), at times (n,), that repeat while images at times (m,) move; all in order of time.
 
     Images are read only where there are such poses.
@@ -100,7 +100,7 @@ def stale_poses(
     return _confirmed(likely, lambda stretch: _images_move(times_s[list(stretch)], frames_s, images))
 
 
-def stale_truth(times_s: FloatArray, rows: FloatArray, estimate: FloatArray) -> list[Stretch]:
+def stale_truth(times_s: FloatArray, rows: FloatArray, estimate: FloatArray) -> list[StaleStretch]:
     """Stretches of poses (n, 7) that repeat while those of an estimate, of these times, move by more than noise."""
     likely = _that_last(repeated_poses(rows), times_s, float(np.median(np.diff(times_s))))
     return [
@@ -110,7 +110,7 @@ def stale_truth(times_s: FloatArray, rows: FloatArray, estimate: FloatArray) -> 
 
 def stale_pictures(
     paths: Sequence[Path], times_s: FloatArray, rows: FloatArray, recording: IntArray | None = None
-) -> list[Stretch]:
+) -> list[StaleStretch]:
     """Stretches of frames (n,) whose pictures repeat while their poses (n, 7) move."""
     repeats = repeated_pictures(paths, recording)
     if not repeats.any() or not (np.diff(times_s) > 0).all():
@@ -135,7 +135,7 @@ def poses_move(rows: FloatArray, moved_m: float, moved_deg: float = _MOVED_DEG) 
     return bool(np.linalg.norm(last[:3] - first[:3]) > moved_m or turned_deg > moved_deg)
 
 
-def describe_stretches(name: str, what: str, stretches: list[Stretch], times_s: FloatArray, n: int) -> str:
+def describe_stretches(name: str, what: str, stretches: list[StaleStretch], times_s: FloatArray, n: int) -> str:
     """How many of n poses or pictures repeat, and when."""
     stale = sum(stretch.last - stretch.first for stretch in stretches)
     longest = sorted(stretches, key=lambda one: times_s[one.first] - times_s[one.last])[:_MAX_NAMED]
@@ -147,7 +147,7 @@ def describe_stretches(name: str, what: str, stretches: list[Stretch], times_s: 
     )
 
 
-def _that_last(repeats: BoolArray, times_s: FloatArray, step_s: float) -> list[Stretch]:
+def _that_last(repeats: BoolArray, times_s: FloatArray, step_s: float) -> list[StaleStretch]:
     """Stretches that last, or all where repeats are many."""
     stretches = stretches_of(repeats)
     if repeats.mean() > _OFTEN:
@@ -156,7 +156,7 @@ def _that_last(repeats: BoolArray, times_s: FloatArray, step_s: float) -> list[S
     return [one for one in stretches if times_s[one.last] - times_s[one.first] > longest_s]
 
 
-def _confirmed(stretches: list[Stretch], moves: Callable[[Stretch], bool | None]) -> list[Stretch]:
+def _confirmed(stretches: list[StaleStretch], moves: Callable[[StaleStretch], bool | None]) -> list[StaleStretch]:
     """Stretches in which the other side moves; of many, some are tried, and the others are as most of these."""
     tried = {i: moves(stretches[i]) for i in evenly_spread(len(stretches), _MAX_TRIED)}
     known = [moved for moved in tried.values() if moved is not None]
