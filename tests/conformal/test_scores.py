@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conformodal.conformal import Aps, SplitConformal
+from conformodal.conformal import Aps, QuantileBins, SplitConformal
 from conformodal.conformal.scores import SCORES, row_uniforms
 
 
@@ -39,3 +39,40 @@ def test_the_random_shares_are_uniform_and_belong_to_the_row():
     assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000)
     np.testing.assert_array_equal(row_uniforms(rows[::-1]), u[::-1])
     assert abs(np.corrcoef(u, rows[:, 0])[0, 1]) < 0.03
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    seed=st.integers(0, 10**6),
+    peak=st.sampled_from([1, 8, 60, 300]),
+    limit=st.sampled_from([-np.inf, 0.0, 0.3, 0.5, 0.9, 0.99, 0.9995, 1.0, np.inf]),
+    single=st.booleans(),
+    order=st.sampled_from(["probability", "density"]),
+    share=st.sampled_from([None, 0.5, 1.0]),
+)
+def test_the_level_set_of_one_row_holds_the_bins_whose_score_is_within_the_limit(
+    seed, peak, limit, single, order, share
+):
+    rng = np.random.default_rng(seed)
+    proba, widths = rng.random(200) ** peak, rng.random(200) + 0.1
+    proba[rng.random(200) < 0.2] = 0
+    proba[rng.integers(200, size=20)] = proba[rng.integers(200)]  # ties
+    proba = (proba / proba.sum()).astype(np.float32 if single else np.float64) if proba.any() else np.full(200, 0.005)
+    score = Aps(order, share)
+    expected = score.of_bins(proba[None], widths)[0] <= limit
+    np.testing.assert_array_equal(score.level_set(proba, widths, limit), expected)
+
+
+def test_the_regions_of_one_sample_are_those_that_it_has_among_others():
+    rng = np.random.default_rng(3)
+    bins = QuantileBins(60).fit(rng.standard_normal((500, 2)))
+    proba = [p / p.sum(axis=1, keepdims=True) for p in (rng.random((40, 60)) ** 40 for _ in range(2))]
+    for score in ("hpd", "aps", "density"):
+        rule = SplitConformal(bins, 0.1, score)
+        thresholds = np.quantile(rule.score_samples(proba, rng.standard_normal((40, 2))), [0.5, 0.9], axis=0)
+        for limits in thresholds:
+            together = rule.regions_at(proba, limits)
+            for i in range(40):
+                alone = rule.regions_at([p[[i]] for p in proba], limits)
+                for mask, every in zip(alone.masks, together.masks, strict=True):
+                    np.testing.assert_array_equal(mask[0], every[i])

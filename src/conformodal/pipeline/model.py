@@ -329,10 +329,9 @@ class PoseModel:
         self, rule: SplitConformal, beliefs: Beliefs, supports: Sequence[Support], thresholds: RealArray
     ) -> PoseRegions:
         """Level sets of n beliefs at thresholds (n, 7) of the score."""
-        parts = self.localizer.marginals_by_part(beliefs)
-        return PoseRegions.concatenate(
-            [pose_regions(rule, proba, supports[rows], thresholds[rows]) for rows, proba in parts]
-        )
+        chunks = self.localizer.marginals_by_part(beliefs)
+        parts = [pose_regions(rule, proba, supports[rows], thresholds[rows]) for rows, proba in chunks]
+        return parts[0] if len(parts) == 1 else PoseRegions.concatenate(parts)
 
     def path_regions(self, answers: Localization, posteriors: Sequence[Posterior], path: str) -> PoseRegions | None:
         """Regions of n images from posteriors, unbounded where these are lost, or most probably beyond the cells, or

@@ -159,6 +159,9 @@ class Calibrator:
         for part, limit, widths in zip(parts, limits.T[..., None], self.bins.widths, strict=True):
             mask = np.empty(part.shape, dtype=bool)
             for rows in blocks(n):
+                if n == 1 and type(self.score_) is Aps and self.empty != "mode":
+                    mask[0] = self.score_.level_set(part[0], widths, float(np.ravel(limit)[0]))
+                    continue
                 scores = self.scores_of(part[rows], widths)
                 np.less_equal(scores, limit if limits.ndim == 1 else limit[rows], out=mask[rows])
                 if self.empty == "mode":
