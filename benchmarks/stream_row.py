@@ -21,7 +21,6 @@ from conformodal.localizer import carrying  # noqa: E402
 from conformodal.localizer.filter import PoseFilter  # noqa: E402
 from conformodal.localizer.sources.landmarks import LandmarkSource  # noqa: E402
 from conformodal.localizer.sources.neighbours import NeighbourSource  # noqa: E402
-from conformodal.pipeline import estimator  # noqa: E402
 from conformodal.pipeline.estimator import VisualOdometry  # noqa: E402
 from conformodal.pipeline.model import PoseModel  # noqa: E402
 from conformodal.tracking.tracker import MotionFrontEnd  # noqa: E402
@@ -67,7 +66,8 @@ def time_parts(seconds: dict[str, float], calls: dict[str, int]) -> None:
     timed_calls = [
         (Backbone, "features_of", "network"),
         (MotionFrontEnd, "measure", "tracking and relative pose"),
-        (estimator, "extract_local_features", "local features"),
+        (carrying._Detection, "advance", "local features"),
+        (carrying._Detection, "finish", "local features"),
         (LandmarkSource, "localize", "landmarks"),
         (LandmarkSource, "carry", "landmarks"),
         (carrying, "follow_corners", "carried corners"),

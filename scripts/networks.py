@@ -20,6 +20,7 @@ from torch.nn import functional
 
 from conformodal.features.backbone import INPUT, OUTPUT, BackboneConfig
 from conformodal.features.export import export
+from conformodal.features.local import HALFWAY_CELL, HALFWAY_CHANNELS
 from conformodal.features.networks import FOLDER
 from conformodal.features.torch_networks import Network
 
@@ -75,14 +76,15 @@ class XFeat(nn.Module):
         self.load_state_dict({k: v for k, v in weights.items() if not k.startswith("fine_matcher.")})
         self.eval().requires_grad_(False)
 
-    def forward(self, grey: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Of an image (h, w) in 0 to 255, by cell: features (64, h / 8, w / 8), logits (65, ...), reliability (...).
+    def forward(self, grey: torch.Tensor, halfway: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Of an image (h, w) in 0 to 255: the maps halfway (24, h / 4, w / 4), and from such maps the rest.
 
-        The logits are of a corner in each pixel of the cell, row by row, and of none.
+        The rest is, by cell, features (64, h / 8, w / 8) and reliability (h / 8, w / 8). Logits (65, ...), which are
+        of a corner in each pixel of the cell, row by row, and of none, need the image alone.
         """
         x = self.norm(grey[None, None].float() / 255)
-        x2 = self.block2(self.block1(x) + self.skip1(x))
-        x3 = self.block3(x2)
+        logits = self.keypoint_head(functional.pixel_unshuffle(x, _CELL))
+        x3 = self.block3(halfway[None])
         x4 = self.block4(x3)
         x5 = self.block5(x4)
         wide = [
@@ -90,8 +92,8 @@ class XFeat(nn.Module):
             for coarse, scale in ((x4, 2), (x5, 4))
         ]
         features = self.block_fusion(x3 + wide[0] + wide[1])
-        logits = self.keypoint_head(functional.pixel_unshuffle(x, _CELL))
-        return features[0], logits[0], self.heatmap_head(features)[0, 0]
+        x2 = self.block2(self.block1(x) + self.skip1(x))
+        return x2[0], features[0], self.heatmap_head(features)[0, 0], logits[0]
 
 
 def _weights() -> Path:
@@ -107,10 +109,14 @@ def main() -> None:
     sides = [dim(name, min=_STEP, max=_MAX_SIDE) for name in ("height", "width")]
     images = torch.zeros((2, 240, 320, 3), dtype=torch.uint8)
     shapes = {0: dim("n"), 1: sides[0], 2: sides[1]}
-    written = {"efficientnet_lite0": export("efficientnet_lite0", Layers().eval(), images, [INPUT], [OUTPUT], shapes)}
-    cells = {k: _STEP * dim(f"cells_{k}", min=1, max=_MAX_SIDE // _STEP) for k in (0, 1)}
-    grey, maps = torch.zeros((320, 448), dtype=torch.uint8), ["features", "logits", "reliability"]
-    written["xfeat"] = export("xfeat", XFeat(), grey, ["image"], maps, cells)
+    lite0 = export("efficientnet_lite0", Layers().eval(), {INPUT: images}, [OUTPUT], [shapes])
+    cells, cell = {k: dim(f"cells_{k}", min=1, max=_MAX_SIDE // _STEP) for k in (0, 1)}, HALFWAY_CELL
+    grey = torch.zeros((320, 448), dtype=torch.uint8)
+    halfway = torch.zeros((HALFWAY_CHANNELS, 320 // cell, 448 // cell))
+    axes = [{k: _STEP * n for k, n in cells.items()}, {k + 1: _STEP // cell * n for k, n in cells.items()}]
+    maps = ["halfway_maps", "features", "reliability", "logits"]
+    xfeat = export("xfeat", XFeat(), {"image": grey, "halfway": halfway}, maps, axes)
+    written = {"efficientnet_lite0": lite0, "xfeat": xfeat}
     for name, content in written.items():
         (FOLDER / f"{name}.onnx").write_bytes(content)
         print(name, len(content), hashlib.sha256(content).hexdigest())

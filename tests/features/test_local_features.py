@@ -1,10 +1,14 @@
+from io import BytesIO
+from zipfile import ZIP_DEFLATED, ZipFile
+
 import cv2
 import numpy as np
 import pytest
 from sklearn.datasets import load_sample_image
 
-from conformodal.features.local import extract_local_features, match
+from conformodal.features.local import HALFWAY_CELL, HALFWAY_CHANNELS, XFeatDetector, extract_local_features, match
 from conformodal.features.networks import make_detector
+from conformodal.features.settings import VisionError
 from conformodal.geometry import PinholeCamera
 
 
@@ -83,7 +87,7 @@ def test_a_blank_image_has_no_corners(detector):
     assert blank.descriptors.dtype == detector.nothing.descriptors.dtype
     np.testing.assert_allclose(np.linalg.norm(blank.global_descriptor), detector.describes_images, atol=1e-6)
     assert [len(pairs) for pairs in match(blank.descriptors, [blank.descriptors] * 2)] == [0, 0]
-    assert detector.name == "orb" or detector.maps(np.zeros((320, 448), np.uint8))[2].shape == (40, 56)  # reduced
+    assert detector.name == "orb" or detector.maps(np.zeros((320, 448), np.uint8))[1].shape == (40, 56)  # reduced
 
 
 def test_matches_are_those_of_the_definition():
@@ -123,6 +127,28 @@ def test_xfeat_comes_as_its_package_has_it():
 
     from scripts.networks import XFeat
 
+    xfeat, image, network = make_detector("xfeat", camera(96, 64)), texture(96, 64), XFeat()
+    whole = torch.from_numpy(image)
+    halfway, *_ = network(whole, torch.zeros((HALFWAY_CHANNELS, 64 // HALFWAY_CELL, 96 // HALFWAY_CELL)))
+    _, *theirs = network(whole, halfway)
+    for mine, its in zip(xfeat.maps(image), theirs, strict=True):
+        np.testing.assert_allclose(mine, its.numpy(), atol=1e-4 * its.abs().max())
+
+
+def test_work_in_parts_gives_the_same_corners():
     xfeat, image = make_detector("xfeat", camera(96, 64)), texture(96, 64)
-    for mine, theirs in zip(xfeat.maps(image), XFeat()(torch.from_numpy(image)), strict=True):
-        np.testing.assert_allclose(mine, theirs.numpy(), atol=1e-4 * theirs.abs().max())
+    *before, corners = xfeat.parts(image)
+    assert before == [None] * (xfeat.n_parts - 1)
+    for part, whole in zip(corners, xfeat(image), strict=True):
+        np.testing.assert_array_equal(part, whole)
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive", "other", "compressed"])
+def test_what_is_not_the_network_of_xfeat_in_parts_is_refused(content):
+    if isinstance(content, str):
+        archive, name = BytesIO(), "else.onnx" if content == "other" else "halfway.onnx"
+        with ZipFile(archive, "w", ZIP_DEFLATED) as file:
+            file.writestr(name, bytes(100_000 if content == "compressed" else 10))
+        content = archive.getvalue()
+    with pytest.raises(VisionError, match="network of local features"):
+        XFeatDetector(content)

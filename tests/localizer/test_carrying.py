@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from conformodal.features.local import ORB, LocalFeatures, QualityRange, image_quality
+from conformodal.features.local import LocalFeatures, QualityRange, image_quality
 from conformodal.geometry.camera import NO_FLOW
+from conformodal.localizer import carrying
 from conformodal.localizer.carrying import CarrySettings, FeatureStream, StreamFrame
 from conformodal.localizer.evidence import LandmarkView, PoseMeasurement
 from tests.localizer.conftest import CAMERA
@@ -52,17 +53,23 @@ class Wall:
 class Camera:
     """Frames of the wall, and the images in which corners were detected."""
 
-    def __init__(self, source, **options):
+    def __init__(self, source, n_parts=1, **options):
         localizer = SimpleNamespace(carrying_source=source)
-        self.stream = FeatureStream(localizer, CAMERA, ORB, **options)
-        self.detected = []
+        detector = SimpleNamespace(rotation_invariant=True, n_parts=n_parts)
+        self.stream = FeatureStream(localizer, CAMERA, detector, **options)
+        self.n_parts, self.detected, self.parts = n_parts, [], []
 
     def look(self, k, grey=None, time_s=None):
         def detect(turn_rad):
             self.detected.append(k)
+            for part in range(self.n_parts - 1):
+                self.parts.append((k, part))
+                yield None
+            self.parts.append((k, self.n_parts - 1))
             pixels = Wall.landmarks - (STEP_PX * k, 0)
-            return LocalFeatures(pixels, np.zeros((len(pixels), 64), np.int8), np.zeros(0, np.float32))
+            yield LocalFeatures(pixels, np.zeros((len(pixels), 64), np.int8), np.zeros(0, np.float32))
 
+        self.parts.append(k)
         grey, time_s = wall(k) if grey is None else grey, k * STEP_S if time_s is None else time_s
         look = self.stream.look(StreamFrame(grey, time_s, None, NO_FLOW), detect)
         self.stream.observe(look.estimates or [])
@@ -84,6 +91,63 @@ def test_corners_are_followed_between_detections_whose_matches_come_one_frame_la
     for k, (pixels, landmarks, _) in enumerate(source.followed, start=1):
         # each corner is still that of its landmark
         np.testing.assert_allclose(np.median(np.abs(landmarks - pixels - (STEP_PX * k, 0)), axis=0), 0, atol=0.1)
+
+
+def test_each_frame_does_a_part_of_the_work_and_the_one_after_the_last_matches():
+    source = Wall()
+    camera = Camera(source, n_parts=3, settings=CarrySettings(detect_every_s=4.5 * STEP_S))
+    for k in range(9):
+        before = source.n_matched
+        look = camera.look(k)
+        assert look.estimates[0].position_xyz[0] == pytest.approx(STEP_PX * k, abs=0.05)
+        assert source.n_matched - before == (k in (0, 8))
+        assert look.busy == (k in (5, 6, 7, 8))
+    assert camera.parts == [0, (0, 0), (0, 1), (0, 2), 1, 2, 3, 4, 5, (5, 0), 6, (5, 1), 7, (5, 2), 8]
+
+
+@pytest.mark.parametrize(("step_s", "matched"), [(1 / 30, 8), (0.05, 7), (0.1, 6)])
+def test_where_frames_are_further_apart_the_work_is_done_sooner(step_s, matched):
+    source = Wall()
+    camera = Camera(source, n_parts=3, settings=CarrySettings(detect_every_s=4.5 * step_s))
+    found = []
+    for k in range(9):
+        camera.look(k, time_s=k * step_s)
+        found += [k] * (source.n_matched == 2 and not found)
+    assert found == [matched]
+
+
+@pytest.mark.parametrize(("kept", "detected", "carried"), [(0.9, [0], True), (0.6, [0, 2], True), (0.3, [0, 2], False)])
+def test_where_corners_are_lost_others_are_detected_before_it_is_time(monkeypatch, kept, detected, carried):
+    camera, follow = Camera(Wall(), n_parts=3), carrying.follow_corners
+    camera.look(0)
+    camera.look(1)
+
+    def lose(*images_and_pixels):
+        there, alive = follow(*images_and_pixels)
+        return there, alive & (np.arange(len(alive)) < kept * len(alive))
+
+    monkeypatch.setattr(carrying, "follow_corners", lose)
+    assert camera.look(2).carried == carried
+    assert camera.detected == detected
+    n_parts = {True: len(detected) - 1, False: 3}[carried]  # all of them at once, or one
+    assert sum(isinstance(part, tuple) and part[0] == 2 for part in camera.parts) == n_parts
+
+
+def test_where_the_detected_corners_are_lost_those_of_the_frame_before_are_followed(monkeypatch):
+    source, follow = Wall(), carrying.follow_corners
+    camera = Camera(source, n_parts=3, settings=CarrySettings(detect_every_s=4.5 * STEP_S))
+    for k in range(8):
+        camera.look(k)
+
+    def lose(previous, image, pixels):
+        there, alive = follow(previous, image, pixels)
+        return there, alive & np.array_equal(previous, wall(7))
+
+    monkeypatch.setattr(carrying, "follow_corners", lose)
+    look = camera.look(8)
+    assert look.carried
+    assert look.estimates[0].position_xyz[0] == pytest.approx(STEP_PX * 8, abs=0.05)
+    assert camera.detected == [0, 5]
 
 
 def test_at_most_so_many_corners_are_followed_from_all_parts_of_the_image():

@@ -175,7 +175,7 @@ def test_a_model_with_xfeat_answers_as_before_it_was_saved(tmp_path):
     np.testing.assert_array_equal(first.pose.pose_se3, again.pose.pose_se3)
     record = json.loads((tmp_path / "model.json").read_text())
     record["detector"] = hashlib.sha256(b"").hexdigest()
-    (tmp_path / f"detector-{record['detector'][:8]}.onnx").write_bytes(b"")
+    (tmp_path / f"detector-{record['detector'][:8]}.zip").write_bytes(b"")
     record["configuration"]["features"] = "orb"
     assert fate(tmp_path, record, "not described by the local features 'orb'") == ""
 

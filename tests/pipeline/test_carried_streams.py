@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from conformodal.features.local import extract_local_features
+from conformodal.features.local import extract_local_features, local_feature_parts
 from conformodal.features.networks import make_detector
 from conformodal.geometry import PinholeCamera
 from conformodal.localizer.evidence import FrameEvidence
@@ -65,9 +65,9 @@ def answers(model, monkeypatch):
 
     def extract(grey, *options):
         detected.append(len(estimates))
-        return extract_local_features(grey, *options)
+        return local_feature_parts(grey, *options)
 
-    monkeypatch.setattr(estimating, "extract_local_features", extract)
+    monkeypatch.setattr(estimating, "local_feature_parts", extract)
     odometry, estimates = VisualOdometry(model), []
     for k, time_s in enumerate(TIMES_S.tolist()):
         estimates.append(odometry.step(picture(k), time_s))

@@ -29,7 +29,7 @@ def export_backbone(config: BackboneConfig, cache: FeatureCache) -> Backbone:
     if cached is not None:
         return Backbone(config, cached.tobytes())
     two = torch.zeros((2, config.height, config.width, 3), dtype=torch.uint8)
-    backbone = Backbone(config, export(config.name, network, two, [INPUT], [OUTPUT], {0: torch.export.Dim("n")}))
+    backbone = Backbone(config, export(config.name, network, {INPUT: two}, [OUTPUT], [{0: torch.export.Dim("n")}]))
     images = np.random.default_rng(0).integers(0, 256, two.shape, dtype=np.uint8)
     expected, made = network.maps(images), backbone.maps(images)
     if expected.shape != made.shape or np.abs(made - expected).max() > _TOLERANCE * np.abs(expected).max():
@@ -39,9 +39,12 @@ def export_backbone(config: BackboneConfig, cache: FeatureCache) -> Backbone:
 
 
 def export(
-    name: str, network: nn.Module, example: torch.Tensor, inputs: list[str], outputs: list[str], dynamic: dict[int, Any]
+    name: str, network: nn.Module, examples: dict[str, torch.Tensor], outputs: list[str], dynamic: list[dict[int, Any]]
 ) -> bytes:
-    """A network in ONNX. `dynamic` are the axes of its input whose length may vary, see :class:`torch.export.Dim`."""
+    """A network in ONNX, from an example of each input.
+
+    `dynamic` are the axes of each input whose length may vary, see :class:`torch.export.Dim`.
+    """
     with require_extra("networks", "the export of a network"):
         import onnxscript  # noqa: F401, PLC0415 - torch asks for it
     logging.disable(logging.WARNING)  # advice on packages that are not needed
@@ -49,12 +52,12 @@ def export(
         with warnings.catch_warnings(action="ignore"):
             program = torch.onnx.export(
                 network,
-                (example,),
+                tuple(examples.values()),
                 dynamo=True,
                 opset_version=OPSET,
-                input_names=inputs,
+                input_names=list(examples),
                 output_names=outputs,
-                dynamic_shapes=(dynamic,),
+                dynamic_shapes=tuple(dynamic),
                 verbose=False,
             )
     except Exception as exc:  # whatever torch and onnxscript raise

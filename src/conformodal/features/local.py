@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, Self, TypeAlias
+from functools import partial
+from io import BytesIO
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self, TypeAlias
+from zipfile import BadZipFile, ZipFile, ZipInfo
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array
+from conformodal.core.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray, UInt8Array
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.io import thumbnail
@@ -20,6 +23,9 @@ from conformodal.io.decoding import grey_image
 from .backbone import open_session
 from .settings import VisionError
 
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
+
 _ORB_BYTES, _ORB_CORNERS = 32, 500
 _LEVELS = 4  # of ORB's pyramid; with more, corners come from coarse levels and poses get worse
 _BLUR_PX = 1.2  # before detection: pixel noise of a sigma of 0.2 then leaves descriptors nearly unchanged
@@ -27,6 +33,8 @@ _MIN_WIDTH_PX = 320  # smaller images are enlarged: descriptors look at 31 pixel
 XFEAT_STEP = 32  # the sides of images that its network sees are multiples of it
 _XFEAT_CORNERS, _XFEAT_CHANNELS = 800, 64
 _CELL = 8  # pixels across of XFeat's cells
+HALFWAY_CELL, HALFWAY_CHANNELS = 4, 24  # of its maps halfway through the network
+XFEAT_PARTS = "halfway", "features", "logits"  # of its network, in order
 _MIN_HEAT = 0.05  # of a corner
 _SUPPRESSED_PX = 5  # across; the hottest pixel of a window is its only corner
 _TURNED_MARGIN_PX = 8  # corners of a turned image nearer to its former border are those of the border
@@ -78,6 +86,7 @@ class Detector(ABC):
     name: ClassVar[str]  # in saved models and on the command line
     describes_images: ClassVar[bool] = False  # whether it gives a global descriptor
     rotation_invariant: ClassVar[bool] = False  # whether descriptors stay the same where the camera rolls
+    n_parts: ClassVar[int] = 1  # into which its work on an image is divided
     nothing: ClassVar[Corners]  # of an image without corners; its descriptors tell type and length of all
 
     def __init__(self, content: bytes = b"") -> None:
@@ -86,6 +95,10 @@ class Detector(ABC):
     @abstractmethod
     def __call__(self, grey: UInt8Array) -> Corners:
         """Detect and describe the corners of a grey image (height, width), the strongest first."""
+
+    def parts(self, grey: UInt8Array) -> Iterator[Corners | None]:
+        """Do the same in :attr:`n_parts` steps of about the same time: None after each, and at last the corners."""
+        yield self(grey)
 
 
 class OrbDetector(Detector):
@@ -116,17 +129,21 @@ class XFeatDetector(Detector):
 
     name = "xfeat"
     describes_images = True
+    n_parts = 3
     nothing = Corners(np.empty((0, 2)), np.empty((0, _XFEAT_CHANNELS), np.int8))
 
     def __init__(self, content: bytes) -> None:
         super().__init__(content)
-        self._session = open_session(content)
-        shapes = [node.shape for node in (*self._session.get_inputs(), *self._session.get_outputs())]
-        self._height, self._width = (int(side) for side in shapes[0]) if len(shapes[0]) == 2 else (0, 0)
-        cells = [self._height // _CELL, self._width // _CELL]
+        self._sessions = [open_session(part) for part in _unpack_networks(content)]
+        nodes = [[*session.get_inputs(), *session.get_outputs()] for session in self._sessions]
+        image = nodes[0][0]
+        self._height, self._width = (int(side) for side in image.shape) if len(image.shape) == 2 else (0, 0)
+        cells, halfway = ([self._height // size, self._width // size] for size in (_CELL, HALFWAY_CELL))
         sound = self._height % XFEAT_STEP == self._width % XFEAT_STEP == 0 < min(self._height, self._width)
-        sound &= self._session.get_inputs()[0].type == "tensor(uint8)"
-        if not sound or shapes[1:] != [[_XFEAT_CHANNELS, *cells], [_CELL**2 + 1, *cells], cells]:
+        between, last = [HALFWAY_CHANNELS, *halfway], [_CELL**2 + 1, *cells]
+        expected = [[image.shape, between], [between, [_XFEAT_CHANNELS, *cells], cells], [image.shape, last]]
+        shapes = [[node.shape for node in part] for part in nodes]
+        if not sound or image.type != "tensor(uint8)" or shapes != expected:
             raise VisionError(f"the network of local features must be XFeat's, got one of shapes {shapes}")
 
     def __reduce__(self) -> tuple[type[Self], tuple[bytes]]:
@@ -134,9 +151,31 @@ class XFeatDetector(Detector):
 
     def __call__(self, grey: UInt8Array) -> Corners:
         """Detect and describe corners."""
+        *_, corners = self.parts(grey)
+        assert corners is not None
+        return corners
+
+    def parts(self, grey: UInt8Array) -> Iterator[Corners | None]:
+        """As of the class above; the last part ends with the corners."""
+        resized = cv2.resize(grey, (self._width, self._height), interpolation=cv2.INTER_AREA)
+        halfway, features, logits = (partial(_run, session) for session in self._sessions)
+        image = np.asarray(resized, np.uint8)
+        [middle] = halfway(image)
+        yield None
+        described, reliability = features(middle)
+        yield None
+        yield self._corners(described, reliability, logits(image)[0], grey.shape)
+
+    def maps(self, image: UInt8Array) -> list[Float32Array]:
+        """The network's features, reliability and logits of an image of its size, see ``scripts/networks.py``."""
+        halfway, features, logits = (partial(_run, session) for session in self._sessions)
+        return [*features(*halfway(image)), *logits(image)]
+
+    def _corners(
+        self, features: Float32Array, reliability: Float32Array, logits: Float32Array, shape: tuple[int, ...]
+    ) -> Corners:
+        """The corners of an image of a shape (height, width) from the network's maps of it."""
         width, height = self._width, self._height
-        resized = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
-        features, logits, reliability = self.maps(np.asarray(resized, np.uint8))
         rows, columns = height // _CELL, width // _CELL
         odds = np.exp(logits - logits.max(axis=0))
         shares = (odds[:-1] / odds.sum(axis=0)).reshape(_CELL, _CELL, rows, columns)
@@ -156,13 +195,34 @@ class XFeatDetector(Detector):
         unit = (unit / np.linalg.norm(unit, axis=1, keepdims=True)).reshape(rows, columns, -1)
         descriptors = _interpolated(unit, (pixels + 0.5) / _CELL - 0.5)
         descriptors *= _UNIT / np.linalg.norm(descriptors, axis=1, keepdims=True)
-        pixels = (pixels + 0.5) * (grey.shape[1] / width, grey.shape[0] / height) - 0.5
+        pixels = (pixels + 0.5) * (shape[1] / width, shape[0] / height) - 0.5
         return Corners(pixels, np.clip(np.rint(descriptors), -127, 127).astype(np.int8), global_descriptor)
 
-    def maps(self, image: UInt8Array) -> list[Float32Array]:
-        """The network's features, logits and reliability of an image of its size, see ``scripts/networks.py``."""
-        outputs: list[Float32Array] = self._session.run(None, {self._session.get_inputs()[0].name: image})
-        return outputs
+
+def pack_networks(parts: dict[str, bytes]) -> bytes:
+    """Networks in ONNX by name as one archive, the same from the same networks."""
+    archive = BytesIO()
+    with ZipFile(archive, "w") as file:
+        for name, content in parts.items():
+            file.writestr(ZipInfo(f"{name}.onnx"), content)
+    return archive.getvalue()
+
+
+def _unpack_networks(content: bytes) -> list[bytes]:
+    """The parts of XFeat's network."""
+    try:
+        with ZipFile(BytesIO(content)) as file:
+            if sum(info.file_size for info in file.infolist()) > len(content):  # as no archive of ours
+                raise VisionError("the network of local features is compressed")
+            return [file.read(f"{part}.onnx") for part in XFEAT_PARTS]
+    except (BadZipFile, KeyError, NotImplementedError, RuntimeError, EOFError, OSError) as exc:
+        raise VisionError(f"the network of local features must be XFeat's in {len(XFEAT_PARTS)} parts: {exc}") from exc
+
+
+def _run(session: InferenceSession, given: AnyArray) -> list[Float32Array]:
+    """All outputs of a network with one input."""
+    outputs: list[Float32Array] = session.run(None, {session.get_inputs()[0].name: given})
+    return outputs
 
 
 def _located(heat: Float32Array, index: IntArray) -> FloatArray:
@@ -202,22 +262,38 @@ def extract_local_features(
     The detector sees the image turned about its middle by `turn_rad`, from right to down. Corners are those of the
     image as given.
     """
-    grey = grey_image(image)
-    pixels, descriptors, described = detector(grey) if turn_rad == 0 else _detect_turned(detector, grey, turn_rad)
-    described = thumbnail(grey) if described is None else described
-    return LocalFeatures(camera.undistort(pixels), descriptors, described, image_quality(grey))
+    *_, features = local_feature_parts(grey_image(image), camera, detector, turn_rad)
+    assert features is not None
+    return features
 
 
-def _detect_turned(detector: Detector, grey: UInt8Array, turn_rad: float) -> Corners:
+def local_feature_parts(
+    grey: UInt8Array, camera: PinholeCamera, detector: Detector, turn_rad: float = 0.0
+) -> Iterator[LocalFeatures | None]:
+    """The same of a grey image (height, width), in the detector's parts: None after each, at last the features."""
+    parts = detector.parts(grey) if turn_rad == 0 else _turned_parts(detector, grey, turn_rad)
+    for corners in parts:
+        if corners is None:
+            yield None
+        else:
+            pixels, descriptors, described = corners
+            described = thumbnail(grey) if described is None else described
+            yield LocalFeatures(camera.undistort(pixels), descriptors, described, image_quality(grey))
+
+
+def _turned_parts(detector: Detector, grey: UInt8Array, turn_rad: float) -> Iterator[Corners | None]:
     """The corners of a turned image, where they are in the image as given; none at its former border."""
     height, width = grey.shape
     turn = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), -np.degrees(turn_rad), 1.0)
     turned = cv2.warpAffine(grey, turn, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    pixels, descriptors, described = detector(np.asarray(turned, np.uint8))
-    pixels = (pixels - turn[:, 2]) @ turn[:, :2]
-    low, high = _TURNED_MARGIN_PX, np.array((width, height)) - 1 - _TURNED_MARGIN_PX
-    inside = np.flatnonzero(((pixels >= low) & (pixels <= high)).all(axis=1))
-    return Corners(pixels[inside], descriptors[inside], described)
+    for corners in detector.parts(np.asarray(turned, np.uint8)):
+        if corners is None:
+            yield None
+        else:
+            pixels = (corners.pixels - turn[:, 2]) @ turn[:, :2]
+            low, high = _TURNED_MARGIN_PX, np.array((width, height)) - 1 - _TURNED_MARGIN_PX
+            inside = np.flatnonzero(((pixels >= low) & (pixels <= high)).all(axis=1))
+            yield Corners(pixels[inside], corners.descriptors[inside], corners.global_descriptor)
 
 
 def match(descriptors: Descriptors, others: Sequence[Descriptors]) -> list[IntArray]:

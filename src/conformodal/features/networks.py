@@ -19,7 +19,7 @@ from conformodal.geometry import PinholeCamera
 
 from .backbone import OUTPUT, Backbone, BackboneConfig
 from .extract import FeatureCache
-from .local import DETECTORS, XFEAT_STEP, Detector, XFeatDetector
+from .local import DETECTORS, HALFWAY_CELL, XFEAT_PARTS, XFEAT_STEP, Detector, XFeatDetector, pack_networks
 from .settings import NETWORKS, VisionError, check_network
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ XFEAT_PIXELS = 448 * 320  # to which larger images are reduced for XFeat, see do
 FOLDER = Path(__file__).parent / "shipped"
 _DIGESTS = {
     "efficientnet_lite0": "c9e1c4ee00374081003fd967faba21163fd97fc298f35840400e03f227e05f90",
-    "xfeat": "c8f8725e5b9f0f076a62a8405e803a3c33c04fcbf37879c7e3246f1a7e43c92d",
+    "xfeat": "9fab32546c4a929a97f4d7b0a562387993491c3ed759af3b631ad322df694eff",
 }
 _MAP = "whole_map"  # of the layers, before it is averaged over the grid
 
@@ -72,12 +72,24 @@ def make_detector(name: str, camera: PinholeCamera) -> Detector:
         return DETECTORS[name]()
     scale = min(1.0, sqrt(XFEAT_PIXELS / (camera.width * camera.height)))
     width, height = (max(1, round(scale * side / XFEAT_STEP)) * XFEAT_STEP for side in (camera.width, camera.height))
-    return XFeatDetector(bytes(_sized(name, (0, height), (1, width)).SerializeToString()))
+    halfway = (1, height // HALFWAY_CELL), (2, width // HALFWAY_CELL)
+    return XFeatDetector(pack_networks(_divided(_sized(name, ((0, height), (1, width)), halfway))))
+
+
+def _divided(network: ModelProto) -> dict[str, bytes]:
+    """The parts of XFeat's network, each of which leads from one of its inputs to some of its outputs."""
+    from onnx.utils import Extractor  # noqa: PLC0415 - only where a model is trained
+
+    (image, halfway), (first, *features, logits) = network.graph.input, network.graph.output
+    ends = ([image], [first]), ([halfway], features), ([image], [logits])
+    names = [tuple([node.name for node in nodes] for nodes in each) for each in ends]
+    parts = {part: Extractor(network).extract_model(*each) for part, each in zip(XFEAT_PARTS, names, strict=True)}
+    return {part: bytes(network.SerializeToString()) for part, network in parts.items()}
 
 
 def _shipped_backbone(config: BackboneConfig) -> Backbone:
     """The default layers, with the average over the grid."""
-    model = _sized(config.name, (1, config.height), (2, config.width))
+    model = _sized(config.name, ((1, config.height), (2, config.width)))
     with require_extra("train", "training"):
         from onnx import TensorProto, helper, numpy_helper, shape_inference  # noqa: PLC0415
 
@@ -101,8 +113,8 @@ def _shipped_backbone(config: BackboneConfig) -> Backbone:
     return Backbone(config, model.SerializeToString())
 
 
-def _sized(name: str, *sides: tuple[int, int]) -> ModelProto:
-    """A network for images of one size; `sides` are axes of its input and their lengths."""
+def _sized(name: str, *sides: tuple[tuple[int, int], ...]) -> ModelProto:
+    """A network for images of one size; `sides` are axes of each of its inputs and their lengths."""
     with require_extra("train", "training"):
         import onnx  # noqa: PLC0415 - only where a model is trained
 
@@ -110,8 +122,9 @@ def _sized(name: str, *sides: tuple[int, int]) -> ModelProto:
     if hashlib.sha256(content).hexdigest() != _DIGESTS[name]:
         raise VisionError(f"{FOLDER / name}.onnx: is damaged; install conformodal again")
     model = onnx.load_from_string(content)
-    for axis, length in sides:
-        model.graph.input[0].type.tensor_type.shape.dim[axis].dim_value = length
+    for given, lengths in zip(model.graph.input, sides, strict=True):
+        for axis, length in lengths:
+            given.type.tensor_type.shape.dim[axis].dim_value = length
     del model.graph.value_info[:]
     for output in model.graph.output:  # ONNX Runtime infers it
         output.type.tensor_type.ClearField("shape")

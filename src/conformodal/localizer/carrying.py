@@ -2,7 +2,7 @@
 
 To detect, describe and match local features takes most of a frame's time. Between frames, a corner whose landmark is
 known is as well followed by optical flow, and the camera's pose refined from there. Every few frames, local features
-are detected again; their matches are looked for one frame later, so that no frame bears both.
+are detected again, a part of the work in each of the next frames, and then matched, so that no frame bears all of it.
 
 :class:`FeatureStream` does the same in a run and in calibration, whose thresholds are therefore those of such frames.
 """
@@ -10,7 +10,7 @@ are detected again; their matches are looked for one frame later, so that no fra
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -31,13 +31,16 @@ from .turning import TurnTracker
 class CarrySettings:
     """When corners are followed instead of detected."""
 
-    # between detections. Chosen on seed 20 of redkitchen `blocks` and fr1_xyz, and 0 of fr1_rpy: 0.12 s is better on
-    # fr1_rpy and worse on fr1_xyz, where with a third of a second poses online are a fifth worse
+    # between detections. This and the shares below were chosen on seed 20 of redkitchen `blocks`, fr1_xyz and fr1_rpy
     detect_every_s: float = 0.16
     max_step_s: float = 0.2  # between frames: corners move too far in more
+    max_delay_s: float = 0.12  # from a detected frame to the one in which its features are matched, if both are apart
     max_corners: int = 300  # that are followed
     min_corners: int = 30  # that agree with the pose
-    min_share: float = 0.5  # of the corners that were followed from the last detection, that still agree
+    # of the corners that were followed from the last detection, that still agree: below the first, local features are
+    # detected again from this frame on, below the second at once, all of it
+    renew_share: float = 0.75
+    min_share: float = 0.4
 
 
 class StreamFrame(NamedTuple):
@@ -72,11 +75,26 @@ class _Anchor(NamedTuple):
     n_followed: int  # corners that were followed from that frame on
 
 
-class _Detection(NamedTuple):
-    """A frame whose detected features are to be matched with landmarks."""
+@dataclass
+class _Detection:
+    """A frame whose local features are being detected, to be matched with landmarks in a later frame."""
 
     frame: StreamFrame
-    features: LocalFeatures
+    parts: Iterator[LocalFeatures | None]
+    n_done: int = 0
+    features: LocalFeatures | None = None
+
+    def advance(self) -> None:
+        """Do the next part."""
+        self.features = next(self.parts, self.features)
+        self.n_done += 1
+
+    def finish(self) -> LocalFeatures:
+        """Do all that is left."""
+        *_, features = self.features, *self.parts
+        assert features is not None
+        self.features = features
+        return features
 
 
 class FeatureStream:
@@ -98,6 +116,7 @@ class FeatureStream:
         settings: CarrySettings | None = None,
     ) -> None:
         self._camera, self._quality, self._settings = camera, quality, settings or CarrySettings()
+        self._n_parts = detector.n_parts
         self._turns = TurnTracker(localizer) if follows and not detector.rotation_invariant else None
         self._source = localizer.carrying_source if follows and carries else None
         self.reset()
@@ -107,34 +126,62 @@ class FeatureStream:
         if self._turns is not None:
             self._turns.reset()
         self._anchor: _Anchor | None = None
-        self._detection: _Detection | None = None  # of the frame before, if it was not matched then
-        self._detected_s = -math.inf  # when features were detected last
+        self._detection: _Detection | None = None  # if its features were not matched yet
+        # of the frame before, and when features were detected last
+        self._timestamp_s = self._detected_s = -math.inf
 
-    def look(self, frame: StreamFrame, detect: Callable[[float], LocalFeatures]) -> FrameLook:
+    def look(self, frame: StreamFrame, detect: Callable[[float], Iterator[LocalFeatures | None]]) -> FrameLook:
         """Look at the next frame; `detect` gives its local features, the image turned by an angle in radians.
 
-        :meth:`observe` takes the estimates of the frame before the next one is looked at.
+        It does so in parts: None after each, at last the features. :meth:`observe` takes the estimates of the frame
+        before the next one is looked at.
         """
         if self._turns is not None:
             self._turns.advance(frame.motion)
         if self._source is None:
-            return FrameLook(detect(self._turn_rad))
-        matches = self._detection is not None
-        if self._detection is not None:
-            self._anchor = self._anchor_at(self._detection, self._source.localize(self._detection.features))
+            return FrameLook(_Detection(frame, detect(self._turn_rad)).finish())
+        anchors, matches = [self._anchor], self._matches_in(frame)
+        if self._detection is not None and matches:
+            features = self._detection.finish()
+            fresh = self._anchor_at(self._detection.frame, features, self._source.localize(features))
+            # corners of the frame before are followed where those of the detected one, some frames ago, are lost
+            anchors = [] if fresh is None else [fresh, self._anchor]
             self._detection = None
-        followed = self._followed(frame, self._source)
-        if followed is None:
+        self._timestamp_s, self._anchor = frame.timestamp_s, None
+        for anchor in anchors:
+            followed = None if anchor is None else self._followed(frame, anchor, self._source)
+            if followed is not None:
+                break
+        else:
             detection = self._detect(frame, detect)
-            estimates = self._source.localize(detection.features)
-            self._anchor = self._anchor_at(detection, estimates)
-            return FrameLook(detection.features, [replace(one, view=None) for one in estimates])
-        if frame.timestamp_s - self._detected_s >= self._settings.detect_every_s:
+            estimates = self._source.localize(detection.finish())
+            self._anchor = self._anchor_at(frame, detection.finish(), estimates)
+            return FrameLook(detection.finish(), [replace(one, view=None) for one in estimates])
+        if self._detection is None and not matches and self._is_due(frame):
             self._detection = self._detect(frame, detect)
+        if self._detection is not None:
+            self._detection.advance()
         return followed._replace(busy=matches or self._detection is not None)
 
-    def _detect(self, frame: StreamFrame, detect: Callable[[float], LocalFeatures]) -> _Detection:
-        self._detected_s = frame.timestamp_s
+    def _is_due(self, frame: StreamFrame) -> bool:
+        """Whether local features are to be detected in a frame that was followed."""
+        if frame.timestamp_s - self._detected_s >= self._settings.detect_every_s or self._anchor is None:
+            return True
+        return len(self._anchor.pixels) < self._settings.renew_share * self._anchor.n_followed
+
+    def _matches_in(self, frame: StreamFrame) -> bool:
+        """Whether a detected frame's features are to be matched in this one: once all parts of the work are done.
+
+        Earlier, if the next frame would be too late.
+        """
+        if self._detection is None:
+            return False
+        now_s, step_s = frame.timestamp_s, frame.timestamp_s - self._timestamp_s
+        late = now_s + step_s - self._detection.frame.timestamp_s > self._settings.max_delay_s
+        return late or self._detection.n_done >= self._n_parts
+
+    def _detect(self, frame: StreamFrame, detect: Callable[[float], Iterator[LocalFeatures | None]]) -> _Detection:
+        self._detected_s, self._detection = frame.timestamp_s, None
         return _Detection(frame, detect(self._turn_rad))
 
     @property
@@ -147,7 +194,9 @@ class FeatureStream:
         if self._turns is not None:
             self._turns.observe(estimates)
 
-    def _anchor_at(self, detection: _Detection, estimates: Sequence[PoseMeasurement]) -> _Anchor | None:
+    def _anchor_at(
+        self, frame: StreamFrame, features: LocalFeatures, estimates: Sequence[PoseMeasurement]
+    ) -> _Anchor | None:
         """Corners to follow from a frame; None where not exactly one place was recognised, or by too few of them."""
         recognised = recognised_only(estimates)
         if len(recognised) != 1 or (view := recognised[0].view) is None:
@@ -157,14 +206,12 @@ class FeatureStream:
             return None
         # detectors give corners in order of their strength: take strong and weak ones, which are from all of the image
         corners = corners[evenly_spread(len(corners), self._settings.max_corners)]
-        pixels = self._camera.distort(detection.features.pixels[corners]).astype(np.float32)
-        grey, timestamp_s, *_ = detection.frame
-        return _Anchor(grey, timestamp_s, pixels, _rows_of(view, corners), recognised[0], len(corners))
+        pixels = self._camera.distort(features.pixels[corners]).astype(np.float32)
+        return _Anchor(frame.grey, frame.timestamp_s, pixels, _rows_of(view, corners), recognised[0], len(corners))
 
-    def _followed(self, frame: StreamFrame, source: CarriesLandmarks) -> FrameLook | None:
-        """The look at a frame with the corners of the one before; None where features must be detected."""
-        anchor, self._anchor = self._anchor, None
-        if anchor is None or not 0 < frame.timestamp_s - anchor.timestamp_s <= self._settings.max_step_s:
+    def _followed(self, frame: StreamFrame, anchor: _Anchor, source: CarriesLandmarks) -> FrameLook | None:
+        """The look at a frame with the corners of one before; None where too few can be followed."""
+        if not 0 < frame.timestamp_s - anchor.timestamp_s <= self._settings.max_step_s:
             return None
         quality = image_quality(frame.grey)
         if self._quality is not None and self._quality.is_outside(quality[None])[0]:

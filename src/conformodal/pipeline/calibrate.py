@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -129,10 +129,11 @@ def beliefs_of_streams(
             [upright] = data.local_features(np.array([frame]))
             grey, time_s = grey_image(data.sequence.image(frame)), float(data.sequence.timestamps_s[frame])
 
-            def detect(turn_rad: float, frame: int = frame, upright: LocalFeatures = upright) -> LocalFeatures:
-                if turn_rad == 0:
-                    return upright
-                return turned_features(data.sequence, frame, data.detector, turn_rad, upright)
+            def detect(
+                turn_rad: float, frame: int = frame, upright: LocalFeatures = upright
+            ) -> Iterator[LocalFeatures]:
+                turned = turn_rad != 0
+                yield turned_features(data.sequence, frame, data.detector, turn_rad, upright) if turned else upright
 
             look = stream.look(StreamFrame(grey, time_s, motions[frame], upright.flow), detect)
             evidence = FrameEvidence(data.features[frame : frame + 1], [look.features], [look.estimates], look.busy)

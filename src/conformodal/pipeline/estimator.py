@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Self
 import numpy as np
 
 from conformodal.core.arrays import Float32Array, FloatArray, UInt8Array
-from conformodal.features.local import LocalFeatures, extract_local_features
+from conformodal.features.local import LocalFeatures, local_feature_parts
 from conformodal.geometry import Pose, RelativeMotion, Trajectory, pose_targets
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.io.decoding import grey_image
@@ -115,9 +116,9 @@ class VisualOdometry(Odometry):
             return NO_FLOW
         return affine_flow(self._front_end.tracker.step, timestamp_s - self._usable_s, self.model.camera)
 
-    def _detect(self, grey: UInt8Array, flow: FloatArray, turn_rad: float) -> LocalFeatures:
-        model = self.model
-        return extract_local_features(grey, model.camera, model.detector, turn_rad)._replace(flow=flow)
+    def _detect(self, grey: UInt8Array, flow: FloatArray, turn_rad: float) -> Iterator[LocalFeatures | None]:
+        for features in local_feature_parts(grey, self.model.camera, self.model.detector, turn_rad):
+            yield None if features is None else features._replace(flow=flow)
 
     def _estimate(self, localization: Localization, motion: RelativeMotion | None, timestamp_s: float) -> Estimate:
         """The estimate of the next frame, from the posterior up to it."""

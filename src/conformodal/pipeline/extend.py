@@ -8,7 +8,7 @@ needed.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -186,8 +186,8 @@ class _Replay(VisualOdometry):
     def _flow(self, timestamp_s: float) -> FloatArray:
         return self._upright.flow if self.model.looks_at_local_features else super()._flow(timestamp_s)
 
-    def _detect(self, grey: UInt8Array, flow: FloatArray, turn_rad: float) -> LocalFeatures:
-        return self._upright if turn_rad == 0 else super()._detect(grey, flow, turn_rad)
+    def _detect(self, grey: UInt8Array, flow: FloatArray, turn_rad: float) -> Iterator[LocalFeatures | None]:
+        return iter((self._upright,)) if turn_rad == 0 else super()._detect(grey, flow, turn_rad)
 
     @property
     def _upright(self) -> LocalFeatures:

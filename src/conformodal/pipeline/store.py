@@ -44,12 +44,12 @@ from .config import Method
 from .identity import FrameIdentities
 from .model import PATHS, ExpectedInput, JournalEntry, PathRule, PoseModel, SourceComparison, path_rule
 
-FORMAT = "conformodal-model-32"
+FORMAT = "conformodal-model-33"
 _JSON = "model.json"
 _FILES = {  # with the first digits of their digests; the detector of local features may have no network: an empty file
     "weights": "weights-{}.safetensors",
     "network": "network-{}.onnx",
-    "detector": "detector-{}.onnx",
+    "detector": "detector-{}.zip",
 }
 # what reading damaged files raises: ValueError is every error of this package too, RuntimeError JSON without end
 _DAMAGE = (SafetensorError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError, RuntimeError)

@@ -16,13 +16,13 @@ from conformodal.io.decoding import grey_image
 
 from .relative_pose import MIN_TRACKS, estimate_relative_motion, solve_opencv
 
-_MAX_CORNERS = 500  # tracked at a time
+_MAX_CORNERS = 320  # tracked at a time
 # New corners are detected below this share of those after the last detection, as the image may have given no more, and
 # below this share of those tracked at a time
 _RENEW_BELOW, _MIN_SHARE = 0.85, 0.5
 _HARRIS_K = 0.04  # weight of the squared trace in the Harris response
 _QUALITY = 1e-4  # weakest Harris response, relative to the strongest
-_SPACING = 0.025  # least distance between new corners, as a share of the image width
+_SPACING = 0.034  # least distance between new corners, as a share of the image width
 _HALVED_FROM = 400  # pixels across from which corners are detected at half size: a quarter of the time, longer tracks
 _WINDOW_PX = 11  # of Lucas-Kanade flow
 # pyramid levels above the image; and for tracking back, which starts from the corner's first position
@@ -148,7 +148,8 @@ def affine_flow(step: tuple[Float32Array, Float32Array], seconds: float, camera:
     shifts, rows = now - before, np.column_stack((now, np.ones(len(now))))
     weights = np.ones((len(now), 1))
     for _ in range(_FLOW_ITERATIONS):
-        flow, *_ = np.linalg.lstsq(rows * weights, shifts * weights, rcond=None)
+        weighted = rows * weights**2
+        flow = np.linalg.lstsq(weighted.T @ rows, weighted.T @ shifts, rcond=None)[0]
         off = np.linalg.norm(shifts - rows @ flow, axis=1)
         weights = 1 / np.sqrt(1 + (off / (np.median(off) + _MIN_FLOW_PX)) ** 2)[:, None]
     return np.asarray(flow.T / seconds)
