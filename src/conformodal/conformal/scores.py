@@ -205,7 +205,7 @@ class Aps:
 
 
 def _ranked_scores(ranked: RealArray, share: Any) -> RealArray:
-    """Scores (n, K) of bins in the order of their rank; `share`, (n, 1) or one number, counts of their own probability."""
+    """Scores (n, K) of bins by rank; of their own probability a `share` counts, a number or (n, 1)."""
     before = np.cumsum(ranked, axis=1, dtype=ranked.dtype)
     before -= ranked
     before += share * ranked
