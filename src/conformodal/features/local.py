@@ -337,12 +337,13 @@ class Matcher:
     """Matches between pairs of images, cached: the maps of several folds share images."""
 
     def __init__(self) -> None:
-        self._cached: dict[tuple[int, int], tuple[LocalFeatures, LocalFeatures, IntArray]] = {}
+        # in the smallest integers that hold them: there are some dozens of pairs for each image of a recording
+        self._cached: dict[tuple[int, int], tuple[LocalFeatures, LocalFeatures, AnyArray]] = {}
 
-    def __getstate__(self) -> list[tuple[LocalFeatures, LocalFeatures, IntArray]]:
+    def __getstate__(self) -> list[tuple[LocalFeatures, LocalFeatures, AnyArray]]:
         return list(self._cached.values())
 
-    def __setstate__(self, state: list[tuple[LocalFeatures, LocalFeatures, IntArray]]) -> None:
+    def __setstate__(self, state: list[tuple[LocalFeatures, LocalFeatures, AnyArray]]) -> None:
         self._cached = {(id(one), id(other)): (one, other, pairs) for one, other, pairs in state}
 
     def __call__(self, one: LocalFeatures, others: Sequence[LocalFeatures]) -> list[IntArray]:
@@ -350,8 +351,9 @@ class Matcher:
         missing = [other for other in others if (id(one), id(other)) not in self._cached]
         matches = match(one.descriptors, [other.descriptors for other in missing])
         for other, pairs in zip(missing, matches, strict=True):
-            self._cached[id(one), id(other)] = one, other, pairs  # ids are unique, since the cache holds both images
-        return [self._cached[id(one), id(other)][2] for other in others]
+            small = pairs.astype(np.min_scalar_type(int(pairs.max(initial=0))))
+            self._cached[id(one), id(other)] = one, other, small  # ids are unique, since the cache holds both images
+        return [self._cached[id(one), id(other)][2].astype(np.int64) for other in others]
 
 
 def _numbers(descriptors: Descriptors) -> Float32Array:
