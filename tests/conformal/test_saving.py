@@ -1,8 +1,6 @@
 """A saved regressor answers as before, and no other file is loaded."""
 
 import io
-import subprocess
-import sys
 import tracemalloc
 import warnings
 import zipfile
@@ -175,15 +173,3 @@ def test_another_version_of_scikit_learn_is_a_warning(tmp_path, monkeypatch):
         ConformalRegressor.load(tmp_path / "reg.cm")
     with pytest.raises(ConformodalError, match="estimator cannot be saved"):
         reg.set_params(random_state=io).save(tmp_path / "x")
-
-
-def test_files_are_read_without_torch():
-    pytest.importorskip("torch")
-    code = "import sys; from conformodal.conformal.saving import _skops_io; _skops_io('x')"
-    finished = subprocess.run(
-        [sys.executable, "-c", f"{code}; print('torch' in sys.modules); import torch; print(torch.ones(1).item())"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert finished.stdout.split() == ["False", "1.0"]

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import io
 import json
-import sys
 import warnings
 import zipfile
 from collections.abc import Sequence
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -52,29 +50,18 @@ def check_replaceable(path: str | Path) -> None:
         raise ConformodalError(f"{path}: exists and is not a saved regressor, not replaced; name another file")
 
 
-def _skops_io(what: str) -> Any:
-    """The module ``skops.io``, which imports all of scikit-learn, and would import torch by its adapters of arrays."""
-    hidden = {} if "torch" in sys.modules else {"torch": None}
-    with require_extra("save", what):
-        sys.modules.update(hidden)  # type: ignore[arg-type]
-        try:
-            return import_module("skops.io")
-        finally:
-            for name in hidden:
-                sys.modules.pop(name, None)
-
-
 def save_regressor(regressor: Any, path: str | Path) -> None:
     """Write a regressor into a file, whole or not at all."""
     check_replaceable(path)
-    io_of_skops = _skops_io("saving a regressor")
+    with require_extra("save", "saving a regressor"):
+        import skops.io  # noqa: PLC0415
     record = {"format": _FORMAT, "scikit-learn": sklearn.__version__, "regressor": regressor}
     try:
-        content = io_of_skops.dumps(record, compression=zipfile.ZIP_DEFLATED, compresslevel=1)
+        content = skops.io.dumps(record, compression=zipfile.ZIP_DEFLATED, compresslevel=1)
         try:
             _unpacked(content)
         except ValueError:  # arrays of one value, which shrink more than is loaded
-            _unpacked(content := io_of_skops.dumps(record))
+            _unpacked(content := skops.io.dumps(record))
     except Exception as exc:  # whatever a foreign class raises
         raise ConformodalError(f"{path}: estimator cannot be saved: {brief(exc, 300)}") from exc
     remove_leftovers(Path(path))
@@ -86,11 +73,12 @@ def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:
 
     Types are checked, the arrays of compiled trees are not: a file that was altered on purpose can crash Python.
     """
-    io_of_skops = _skops_io("loading a regressor")
+    with require_extra("save", "loading a regressor"):
+        import skops.io  # noqa: PLC0415
     try:
         content = read_file(path)
         content = _unpacked(content)
-        types = io_of_skops.get_untrusted_types(data=content)
+        types = skops.io.get_untrusted_types(data=content)
     except OSError as exc:
         raise ConformodalError(f"{path}: cannot be read: {exc.strerror}") from None
     except Exception as exc:  # whatever a damaged file leads to
@@ -102,7 +90,7 @@ def load_regressor(path: str | Path, trusted: Sequence[str]) -> Any:
     if unknown:
         raise ConformodalError(f"{path}: holds the types {', '.join(unknown)}; if you trust them: load(trusted=[...])")
     try:
-        record = io_of_skops.loads(content, trusted=types)
+        record = skops.io.loads(content, trusted=types)
         regressor, version = record["regressor"], record["scikit-learn"]
         if record["format"] != _FORMAT:
             raise ValueError(describe_format(record["format"], _FORMAT, "fit and save it again"))
