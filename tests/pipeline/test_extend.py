@@ -249,7 +249,7 @@ def test_a_recording_without_poses_is_refused_twice_or_from_another_camera(train
 
 
 def test_too_few_reliable_frames_are_refused(trained, without_poses):
-    """The first frames, of which the model cannot be sure."""
+    """Nine frames are, even if all are reliable."""
     few = slice(None, 9)
     short = {"image_paths": without_poses.image_paths[few], "recording": without_poses.recording[few]}
     short = replace(without_poses, timestamps_s=without_poses.timestamps_s[few], **short)
