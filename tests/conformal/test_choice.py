@@ -51,6 +51,23 @@ def test_rows_with_wide_distributions_are_covered_nearly_as_often_as_others(mode
     assert covered(score, new) > 0.88
 
 
+def test_one_interval_is_not_taken_where_it_covers_wide_distributions_less_often():
+    rng = np.random.default_rng(0)
+    centers, wide = (EDGES[1:] + EDGES[:-1]) / 2, rng.random(4000) < 0.25
+    spread = rng.uniform(0.05, 0.1, (4000, 1))  # narrow distributions have a little far mass, which their spread counts
+    far = norm.pdf(centers, -0.6, spread) + norm.pdf(centers, 0.6, spread)
+    proba = np.where(
+        wide[:, None], norm.pdf(centers, 0, 20 * spread), 0.95 * norm.pdf(centers, 0, spread) + 0.025 * far
+    )
+    proba /= proba.sum(axis=1, keepdims=True)
+    codes = np.minimum((np.cumsum(proba, axis=1) < rng.random((4000, 1))).sum(axis=1), centers.size - 1)
+    assert covered(Interval(), (proba, codes)) < 0.85
+    score = choose_score([(proba, codes)], [WIDTHS], 0.1)
+    assert isinstance(score, ScaledDensity)
+    assert sizes(Interval(), (proba, codes)) < sizes(score, (proba, codes))
+    assert covered(score, (proba, codes)) > 0.89
+
+
 def test_of_few_rows_nothing_is_concluded():
     assert isinstance(choose_score([rows(0, n=99)], [WIDTHS], 0.1), Density)
     assert not isinstance(choose_score([rows(0, n=99)], [WIDTHS], 0.1), ScaledDensity)

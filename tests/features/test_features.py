@@ -118,3 +118,19 @@ def test_coarse_features_follow_the_grid_of_their_network(grid):
     ]
     coarse = coarse_features(features, grid)
     np.testing.assert_allclose(coarse, np.stack(expected, axis=2).reshape(5, -1), rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(("n", "n_features"), [(30, 80), (80, 30)])
+def test_projections_are_those_of_a_singular_value_decomposition(n, n_features):
+    rng = np.random.default_rng(5)
+    x = rng.standard_normal((n, n_features)).astype(np.float32) * np.linspace(1, 3, n_features, dtype=np.float32)
+    x[1] = x[0]  # a sample that repeats
+    standard = (x - x.mean(axis=0)) / (x.std(axis=0) + 1e-3)
+    _, lengths, directions = np.linalg.svd(standard.astype(np.float64) - standard.mean(axis=0), full_matrices=False)
+    k = min(n - 2, n_features)  # as many as there are directions
+    expected = np.abs((x - x.mean(axis=0)) / (x.std(axis=0) + 1e-3) @ directions[:k].T)
+    gain = np.sqrt((lengths[:k] ** 2).mean() / (n - 1))
+    np.testing.assert_allclose(np.abs(fit_projection(x, k).apply(x)), expected / gain, atol=2e-3)
+    every = fit_projection(x, n)
+    assert np.isfinite(every.components).all()
+    assert np.abs(every.apply(x)).max() < 100

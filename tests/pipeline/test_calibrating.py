@@ -173,7 +173,7 @@ def test_held_out_stretches_are_looked_at_as_streams_and_rolled_images_turned(mo
     data = SimpleNamespace(
         local_features=lambda frames: [features_of(frames[0], 0)],
         sequence=SimpleNamespace(camera=None, image=lambda i: grey, timestamps_s=np.arange(8.0)),
-        detector=SimpleNamespace(rotation_invariant=False),
+        detector=SimpleNamespace(rotation_invariant=False, n_parts=1),
         features=np.zeros((8, 1)),
     )
     held_out, units = np.array([1, 2, 3, 5, 6, 7]), np.array([1, 1, 1, 1, 0, 0, 0, 0])

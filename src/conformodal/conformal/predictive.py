@@ -42,7 +42,9 @@ class PredictiveDensity:
     def __init__(self, bins: QuantileBins, proba: Probabilities) -> None:
         self.bins = bins
         self.proba: Sequence[FloatArray] = [part.astype(np.float64) for part in as_probabilities(proba, bins.sizes)]
-        self._below = [np.pad(np.cumsum(part, axis=1), ((0, 0), (1, 0))) for part in self.proba]
+        self._below = [np.zeros((len(part), part.shape[1] + 1)) for part in self.proba]
+        for below, part in zip(self._below, self.proba, strict=True):
+            np.cumsum(part, axis=1, out=below[:, 1:])
 
     def __len__(self) -> int:
         return len(self.proba[0])

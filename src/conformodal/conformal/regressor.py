@@ -102,8 +102,8 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         ``"density"`` (shortest sets), ``"interval"`` (one interval), ``"lac"``, ``"aps"``, ``"hpd"``, a score object;
         or ``"auto"``, which chooses on training rows that the learner has not learnt from: a density scaled by a power
         of its entropy (:class:`ScaledDensity`), so that the rows with the widest distributions are covered nearly as
-        often as others, or ``"interval"`` where its sets are no longer. For a learner of another package that predicts
-        distributions, it is ``"density"``.
+        often as others, or ``"interval"`` where it covers these as often and its sets are no longer. For a learner of
+        another package that predicts distributions, it is ``"density"``.
     joint
         ``"none"``, ``"bonferroni"`` or ``"max"``; see :class:`~conformodal.conformal.SplitConformal`. With ``"max"``
         every density is fitted twice: the targets' scores are scaled by rows that one of the fits has not seen.

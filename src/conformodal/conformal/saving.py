@@ -57,7 +57,7 @@ def save_regressor(regressor: Any, path: str | Path) -> None:
         import skops.io  # noqa: PLC0415
     record = {"format": _FORMAT, "scikit-learn": sklearn.__version__, "regressor": regressor}
     try:
-        content = skops.io.dumps(record, compression=zipfile.ZIP_DEFLATED)
+        content = skops.io.dumps(record, compression=zipfile.ZIP_DEFLATED, compresslevel=1)
         try:
             _unpacked(content)
         except ValueError:  # arrays of one value, which shrink more than is loaded

@@ -101,8 +101,10 @@ def relative_entropy(proba: RealArray, widths: FloatArray) -> FloatArray:
     """Differential entropies (n,) of rows, less that of the uniform distribution over all bins: 0 or less."""
     shares = widths / widths.max()
     shares = shares / shares.sum()
-    logs = np.log(np.maximum(proba, np.finfo(proba.dtype).tiny))  # a third of the time of scipy.special.entr
-    return np.asarray(proba @ np.log(shares) - np.einsum("ij,ij->i", proba, logs), dtype=np.float64)
+    logs = np.maximum(proba, np.finfo(np.float32).tiny, dtype=np.float32)  # whose logarithms take a third of the time
+    np.log(logs, out=logs)
+    terms = np.multiply(proba, logs, dtype=np.float64)
+    return np.asarray(proba @ np.log(shares) - terms.sum(axis=1), dtype=np.float64)
 
 
 class Interval:
@@ -122,12 +124,17 @@ class Interval:
 
     def of_bins(self, proba: RealArray, widths: FloatArray) -> RealArray:
         """``|center - mean| / sd``, with distributions constant within bins."""
-        shares = widths / widths.max()  # whose squares do not overflow
-        centers = np.cumsum(shares) - shares / 2
-        away = centers - (proba @ centers)[:, None]
-        variance = (proba * away**2).sum(axis=1) + proba @ (shares**2 / 12)
-        least = np.finfo(np.float64).tiny
-        return np.asarray(np.abs(away) / np.sqrt(np.maximum(variance, least))[:, None], dtype=proba.dtype)
+        away, spread = deviations(proba, widths)
+        return np.asarray(np.abs(away) / spread[:, None], dtype=proba.dtype)
+
+
+def deviations(proba: RealArray, widths: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distances (n, K) of bins' middles from rows' means, and standard deviations (n,), in units of the widest bin."""
+    shares = widths / widths.max()  # whose squares do not overflow
+    centers = np.cumsum(shares) - shares / 2
+    away = centers - (proba @ centers)[:, None]
+    variance = (proba * away**2).sum(axis=1) + proba @ (shares**2 / 12)
+    return away, np.sqrt(np.maximum(variance, np.finfo(np.float64).tiny))
 
 
 Order = Literal["probability", "density"]

@@ -19,7 +19,7 @@ from .doubts import TableMemory
 from .predictive import PredictiveDensity
 from .regions import Regions
 
-_ROWS = 8192  # of a block
+_ROWS = 4096  # of a block, of which each thread holds several arrays (rows, bins)
 
 
 class TableRegressor(Protocol):

@@ -8,6 +8,7 @@ from math import cos, pi
 from typing import NamedTuple, Self, TypeAlias
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.special import erf, softmax
 
 from conformodal.core.arrays import Float32Array, FloatArray, RealArray
@@ -57,14 +58,32 @@ def fit_projection(features: Float32Array, n_components: int | None, view: slice
     # features that are all the same have no directions, even where their rounded mean differs from them
     if n_components is None or not np.ptp(features, axis=0).any():
         return Projection(offset, 1 / scale)
-    from sklearn.decomposition import PCA  # noqa: PLC0415 - seconds to import; running a model fits none
-
-    # exact solvers: the last of a few hundred directions are where a randomised one is poor
-    solver = "full" if n <= n_features else "covariance_eigh"
-    pca = PCA(min(n_components, n - 1, n_features), svd_solver=solver).fit((features - offset) / scale)
-    gain = np.sqrt(max(float(pca.explained_variance_.mean()), 1e-12))
-    components = np.ascontiguousarray((pca.components_ / gain).T / scale[:, None], dtype=np.float32)
+    directions, variances = _principal_components((features - offset) / scale, min(n_components, n - 1, n_features))
+    gain = np.sqrt(max(float(variances.mean()), 1e-12))
+    components = np.ascontiguousarray((directions / gain).T / scale[:, None], dtype=np.float32)
     return Projection(offset, components)
+
+
+def _principal_components(features: Float32Array, k: int) -> tuple[FloatArray, FloatArray]:
+    """The first k directions (k, F) of features (n, F), and the variances (k,) along them, the largest first.
+
+    Exact, as the last of a few hundred directions are where a randomised solver is poor; by the eigenvectors of n x n
+    products where there are fewer samples than features, in a fifth of the time of a singular value decomposition.
+    """
+    n, n_features = features.shape
+    if n > n_features:
+        from sklearn.decomposition import PCA  # noqa: PLC0415 - seconds to import; running a model fits none
+
+        pca = PCA(k, svd_solver="covariance_eigh").fit(features)
+        return pca.components_, pca.explained_variance_
+    centred = features.astype(np.float64) - features.mean(axis=0, dtype=np.float64)
+    squares, vectors = eigh(centred @ centred.T, subset_by_index=[n - k, n - 1])
+    squares, vectors = np.maximum(squares[::-1], 0), vectors[:, ::-1]
+    lengths = np.sqrt(squares)
+    lengths[squares <= n * np.finfo(np.float64).eps * squares[0]] = np.inf  # samples that repeat have no directions
+    directions = vectors.T @ centred / lengths[:, None]
+    largest = np.take_along_axis(directions, np.abs(directions).argmax(axis=1)[:, None], axis=1)
+    return directions * np.sign(largest), squares / (n - 1)  # the sign is arbitrary
 
 
 @dataclass(frozen=True, eq=False)

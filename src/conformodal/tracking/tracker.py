@@ -16,14 +16,15 @@ from conformodal.io.decoding import grey_image
 
 from .relative_pose import MIN_TRACKS, estimate_relative_motion, solve_opencv
 
-_MAX_CORNERS = 320  # tracked at a time
+_HALVED_FROM = 400  # pixels across from which corners are detected at half size: a quarter of the time, longer tracks
+# corners that are tracked at a time, and the least distance between new ones, as a share of the image width: of images
+# that are halved, and of smaller ones, whose corners say less each
+_MAX_CORNERS, _SPACING = (320, 500), (0.034, 0.025)
 # New corners are detected below this share of those after the last detection, as the image may have given no more, and
 # below this share of those tracked at a time
 _RENEW_BELOW, _MIN_SHARE = 0.85, 0.5
 _HARRIS_K = 0.04  # weight of the squared trace in the Harris response
 _QUALITY = 1e-4  # weakest Harris response, relative to the strongest
-_SPACING = 0.034  # least distance between new corners, as a share of the image width
-_HALVED_FROM = 400  # pixels across from which corners are detected at half size: a quarter of the time, longer tracks
 _WINDOW_PX = 11  # of Lucas-Kanade flow
 # pyramid levels above the image; and for tracking back, which starts from the corner's first position
 _LEVELS, _BACK_LEVELS = 4, 1
@@ -104,8 +105,9 @@ class CornerTracker:
         """Measure motion from the current frame on: renew lost corners, and note where all of them are."""
         if self._image is None:
             return
-        if len(self._now) < max(_RENEW_BELOW * self._n_renewed, _MIN_SHARE * _MAX_CORNERS):
-            new = self._new_corners(self._image, _MAX_CORNERS - len(self._now))
+        most = _MAX_CORNERS[self._image.shape[1] < _HALVED_FROM]
+        if len(self._now) < max(_RENEW_BELOW * self._n_renewed, _MIN_SHARE * most):
+            new = self._new_corners(self._image, most - len(self._now))
             self._now = np.concatenate((self._now, new))
             self._ids = np.concatenate((self._ids, self._n_ever + np.arange(len(new))))
             self._n_ever += len(new)
@@ -122,9 +124,10 @@ class CornerTracker:
         return TrackedCorners(self._ids.copy(), self._now.copy())
 
     def _new_corners(self, image: UInt8Array, count: int) -> Float32Array:
-        smaller = 2 if image.shape[1] >= _HALVED_FROM else 1
+        small = image.shape[1] < _HALVED_FROM
+        smaller = 1 if small else 2
         image = np.asarray(cv2.resize(image, None, fx=1 / smaller, fy=1 / smaller, interpolation=cv2.INTER_AREA))
-        spacing = max(3.0, _SPACING * image.shape[1])
+        spacing = max(3.0, _SPACING[small] * image.shape[1])
         free = np.full(image.shape, 255, np.uint8)
         for x, y in self._now / smaller:
             cv2.circle(free, (round(float(x)), round(float(y))), round(spacing), 0, -1)

@@ -8,7 +8,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 from conformodal.conformal import ConformalRegressor, QuickDensity
 from conformodal.conformal.density import named
 from conformodal.conformal.density.forest import LeafForest, group_values, rank_cosines
-from conformodal.conformal.density.mixture import cells_of
+from conformodal.conformal.density.mixture import places_on, shifted_masses
 from conformodal.conformal.density.named import SubsetProcess, boosting, fit_out_of_fold, folds_of, smooth_member
 
 EDGES = np.linspace(-3, 3, 61)
@@ -129,28 +129,39 @@ def test_rows_are_told_apart_whatever_stands_beside_them(fitted):
 
 
 def test_masses_are_those_of_the_kernels_at_the_weights_of_leaves(fitted):
-    mixed = fitted._mixed_masses()
-    guided, direct = fitted.forests_
     X = np.random.default_rng(6).uniform(-1, 1, (50, 2))
+    guided, direct = fitted.forests_
     leaves = direct.apply(X)
-    share, kernel = fitted.weights_[4], fitted._kernels[4]
-    whole = direct.projection([np.eye(len(kernel))])(leaves) @ kernel
-    factored = mixed.projections[-1](leaves)
-    np.testing.assert_allclose(factored @ mixed.values[-factored.shape[1] :], share * whole, atol=1e-6 * share)
-    assert guided.n_groupings == 2
-    assert factored.shape[1] < len(kernel)
+    summary = fitted.location_.predict(X, direct.means(leaves))
+    extended = np.column_stack((X, summary))
+    groups = [np.eye(len(kernel)) for kernel in fitted._kernels[2:]]
+    residuals, values = np.split(guided.projection(groups[:2])(guided.apply(extended)), [len(groups[0])], axis=1)
+    of = [*fitted._pooled, residuals, values, direct.projection(groups[2:])(leaves)]
+    expected = np.zeros((50, fitted.edges_.size - 1))
+    spread = np.exp(fitted.spread_.predict(extended))
+    for j, (weight, masses) in enumerate(zip(fitted.weights_, map(np.matmul, of, fitted._kernels), strict=True)):
+        if j in (1, 2):
+            below = np.pad(np.cumsum(np.broadcast_to(masses, (50, masses.shape[1])), axis=1), ((0, 0), (1, 0)))
+            expected += weight * shifted_masses(below, fitted._grid, summary[:, 0], spread, fitted._z_edges)
+        else:
+            expected += weight * masses
+    np.testing.assert_allclose(fitted.predict_proba(X), expected, atol=1e-5)
+    assert fitted._mixed_masses().projections[1](leaves).shape[1] < len(fitted._kernels[4])
 
 
 @pytest.mark.parametrize("clumped", [False, True])
-def test_cells_are_those_of_a_search(clumped):
+def test_places_on_a_grid_are_those_of_a_search(clumped):
     rng = np.random.default_rng(0)
     for _ in range(50):
         size = 10.0 ** rng.integers(-6, 7)
         grid = np.unique(rng.standard_cauchy(rng.integers(2, 400)) * size + 1e4 * clumped)
-        near = rng.choice(grid, 300) + rng.standard_cauchy(300) * size
-        at = np.concatenate((grid, np.nextafter(grid, np.inf), near, [0.0, -1e200, 1e200]))[None]
-        expected = np.clip(np.searchsorted(grid, at) - 1, 0, grid.size - 2)
-        np.testing.assert_array_equal(cells_of(at, grid), expected)
+        near = np.sort(np.append(rng.choice(grid, 300) + rng.standard_cauchy(300) * size, [0.0, -1e200, 1e200]))
+        places, cells, middle = places_on(grid, near[None])[0], np.arange(grid.size), np.median(np.abs(grid))
+        assert (np.diff(places) >= -1e-9).all()
+        found, exact = (
+            x / (middle + np.abs(x)) for x in (np.interp(places, cells, grid), np.clip(near, grid[0], grid[-1]))
+        )
+        np.testing.assert_allclose(found, exact, atol=2 / 4096)  # a step of the table
 
 
 def test_out_of_bag_rows_sum_to_one_and_follow_the_values():

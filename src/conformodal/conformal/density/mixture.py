@@ -29,8 +29,8 @@ _GRID_CELLS = 300
 _MIN_WEIGHT = 1e-3
 # rows at once of trees, and of arrays (rows, bins), which then stay in the processor's cache
 _ROWS_AT_ONCE, _ROWS_IN_CACHE = 8192, 512
-# of a kernel, relative to the largest: what is left out changes masses by less
-_MIN_SINGULAR = 1e-8
+# of a kernel times its weight: what is left out changes no mass by a hundred-thousandth
+_MIN_SINGULAR = 1e-4
 _STEPS, _CELLS_PER_STEP = 4096, 8  # of a table of cells
 # least density, relative to 1 / range, for logarithms
 _FLOOR = 1e-6
@@ -86,10 +86,12 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
         for r in gen_batches(len(features), _ROWS_IN_CACHE):
             weights = np.hstack([of(those[r]) for of, those in zip(mixed.projections, leaves_of, strict=True)])
             of_residuals, of_values = np.split(weights, [len(mixed.residuals)], axis=1)
-            # one shift of the residuals' mixture, whose rows then sum to one, is all residuals need
-            masses = of_residuals @ mixed.residuals + mixed.residuals_of_all
-            shifted = shifted_masses(masses, self._grid, summary[r, 0], spread[r], self._z_edges)
-            proba = of_values @ mixed.values + mixed.values_of_all + mixed.residual_share * shifted
+            # one shift of the residuals' mixture, whose rows then end at one, is all residuals need
+            below = of_residuals @ mixed.residuals + mixed.residuals_of_all
+            proba = shifted_masses(below, self._grid, summary[r, 0], spread[r], self._z_edges)
+            proba *= mixed.residual_share
+            proba += of_values.reshape(len(proba), -1, len(mixed.values)).sum(axis=1) @ mixed.values
+            proba += mixed.values_of_all
             np.maximum(proba, 0, out=proba)  # the factors may be a little below
             total[order[r]] = proba / proba.sum(axis=1, keepdims=True)
         return total
@@ -170,8 +172,9 @@ class MixtureDensity(BaseEstimator):  # type: ignore[misc]
 
     def _shifted(self, masses: FloatArray, loc: FloatArray, spread: FloatArray) -> FloatArray:
         """Bin probabilities of values, from masses (n, M) of their scaled residuals."""
-        rows = [slice(start, start + _ROWS_IN_CACHE) for start in range(0, loc.size, _ROWS_IN_CACHE)]
-        return np.concatenate([shifted_masses(masses[r], self._grid, loc[r], spread[r], self._z_edges) for r in rows])
+        below = np.pad(np.cumsum(masses, axis=1), ((0, 0), (1, 0)))
+        rows = gen_batches(loc.size, _ROWS_IN_CACHE)
+        return np.concatenate([shifted_masses(below[r], self._grid, loc[r], spread[r], self._z_edges) for r in rows])
 
 
 @dataclass(frozen=True)
@@ -181,10 +184,10 @@ class _MixedMasses:
     A kernel over G groups and M cells is smooth, so that a product of (G, r) and (r, M) with a small r equals it.
     """
 
-    projections: list[LeafProjection]  # of each forest
-    residuals: FloatArray  # (r, M) masses of scaled residuals over the grid, relative to all of residuals
-    residuals_of_all: FloatArray  # (M,) of the component that is the same for all samples
-    values: FloatArray  # (r', K) masses of values over the bins
+    projections: list[LeafProjection]  # of each forest: its part of residuals, if it has one, then of values
+    residuals: FloatArray  # (r, M + 1) masses of scaled residuals below the grid's points, relative to all of residuals
+    residuals_of_all: FloatArray  # (M + 1,) of the component that is the same for all samples
+    values: FloatArray  # (r', K) masses of values over the bins, which forests share
     values_of_all: FloatArray  # (K,)
     residual_share: float  # weight of the components of residuals
 
@@ -193,29 +196,24 @@ class _MixedMasses:
         cls, forests: tuple[LeafForest, ...], weights: FloatArray, pooled: list[FloatArray], kernels: list[FloatArray]
     ) -> Self:
         """Of kernels of which the first two are no forest's, and the third, a forest's first, is of residuals."""
+        shares = [share * kernel for share, kernel in zip(weights, kernels, strict=True)]
         residual_share = float(np.sum(weights[[*_RESIDUAL]]))
-        values_of_all, residuals_of_all = (
-            share * (w @ k)[0] for share, w, k in zip(weights, pooled, kernels[:2], strict=False)
-        )
-        bases, cells = zip(*map(_factors, kernels[2:]), strict=True)
-        rest, projections = [*bases], []
+        values_of_all, residuals_of_all = ((w @ k)[0] for w, k in zip(pooled, shares[:2], strict=True))
+        of_residuals, residuals = _factors(shares[2])
+        of_values, values = _factors(np.vstack(shares[3:]))
+        rest, projections = [of_residuals, *np.split(of_values, np.cumsum([len(k) for k in shares[3:-1]]))], []
         for forest in forests:
             projections.append(forest.projection([rest.pop(0) for _ in range(forest.n_groupings)]))
-        residuals, *values = (share * part for share, part in zip(weights[2:], cells, strict=True))
+        below = [np.pad(np.cumsum(part, axis=-1), ((0, 0), (1, 0))) for part in (residuals, residuals_of_all[None])]
         return cls(
-            projections,
-            residuals / residual_share,
-            residuals_of_all / residual_share,
-            np.vstack(values),
-            values_of_all,
-            residual_share,
+            projections, below[0] / residual_share, below[1][0] / residual_share, values, values_of_all, residual_share
         )
 
 
 def _factors(kernel: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Matrices (G, r) and (r, M) whose product is a kernel (G, M), by its largest singular values."""
+    """Matrices (G, r) and (r, M) whose product is a kernel (G, M), by its singular values that are not tiny."""
     left, values, right = svd(kernel, full_matrices=False)
-    large = values > _MIN_SINGULAR * values[0]
+    large = values > _MIN_SINGULAR
     return left[:, large] * values[large], right[large]
 
 
@@ -263,45 +261,52 @@ def kernel_masses(centers: FloatArray, values: FloatArray, edges: FloatArray, fa
 
 
 def shifted_masses(
-    masses: FloatArray, grid: FloatArray, loc: FloatArray, scale: FloatArray, edges: FloatArray
+    below: FloatArray, grid: FloatArray, loc: FloatArray, scale: FloatArray, edges: FloatArray
 ) -> FloatArray:
-    """Bin probabilities of ``loc + scale * residual``, (n, K), from masses (n, M) of the residual over `grid` cells."""
-    n, m = masses.shape
-    at = (edges - loc[:, None]) / scale[:, None]
-    cell = cells_of(at, grid)
-    at -= grid.take(cell)
-    at *= (1 / np.diff(grid)).take(cell)
-    np.clip(at, 0, 1, out=at)
-    cell += m * np.arange(n)[:, None]
-    at *= masses.take(cell)
-    below = np.cumsum(masses, axis=1)
-    below -= masses
-    at += below.take(cell)
-    at[:, 0], at[:, -1] = 0, 1
-    return np.maximum(np.diff(at, axis=1), 0)  # rounding may take a step down
+    """Bin probabilities of ``loc + scale * residual``, (n, K); the outer bins get what lies beyond.
 
-
-def cells_of(at: FloatArray, grid: FloatArray) -> IntArray:
-    """Cells of a grid (M + 1,) that hold each value, the outer ones where none does, as of :func:`numpy.searchsorted`.
-
-    A table gives the cell for each of 4,096 steps of ``x / (c + |x|)``; from there it is a step or two upwards, in a
-    third of the time. Where a step holds many cells, it is searched.
+    `below` are the masses (n, M + 1) of residuals below the points of a grid.
     """
-    middle = float(np.median(np.abs(grid))) or 1.0
-    ends = np.arange(_STEPS) / (_STEPS / 2) - 1
-    ends[0] = ends[1]  # finite; steps below the table's begin at its first cell
-    first = np.searchsorted(grid, middle * ends / (1 - np.abs(ends))) - 1
-    first[:2] = 0
-    if np.diff(first).max() > _CELLS_PER_STEP:
-        return np.asarray(np.clip(np.searchsorted(grid, at) - 1, 0, grid.size - 2))
+    n, m = below.shape
+    at = edges - loc[:, None]
+    at /= scale[:, None]
+    at = places_on(grid, at)
+    cell = at.astype(np.int32)
+    np.minimum(cell, m - 2, out=cell)
+    at -= cell
+    cell += m * np.arange(n, dtype=np.int32)[:, None]
+    low = below.take(cell)
+    cell += 1
+    high = below.take(cell)
+    high -= low
+    high *= at
+    high += low
+    high[:, 0], high[:, -1] = 0, below[:, -1]
+    masses = np.subtract(high[:, 1:], high[:, :-1])
+    return np.maximum(masses, 0, out=masses)  # rounding may take a step down
+
+
+def places_on(grid: FloatArray, at: FloatArray) -> FloatArray:
+    """Places of values on a grid (M + 1,), in cells from its start: 1.25 is a quarter into the second cell.
+
+    A table gives the places of 4,096 steps of ``x / (c + |x|)``; between these, places are interpolated, in half of the
+    time of a search. Where a step holds many cells, there is a search.
+    """
+    middle, cells = float(np.median(np.abs(grid))) or 1.0, np.arange(float(grid.size))
+    ends = np.arange(_STEPS + 1) / (_STEPS / 2) - 1
+    with np.errstate(divide="ignore"):
+        known = np.interp(middle * ends / (1 - np.abs(ends)), grid, cells)
+    width = np.diff(known)
+    if width.max() > _CELLS_PER_STEP:
+        return np.asarray(np.interp(at, grid, cells))
     place = at / (middle + np.abs(at))
     place += 1
     place *= _STEPS / 2
-    cell = np.clip(first, 0, grid.size - 2).take(place.astype(np.int32), mode="clip")
-    upper = np.append(grid[1:-1], np.inf)
-    while (above := upper.take(cell) < at).any():
-        cell += above
-    return np.asarray(cell)
+    step = place.astype(np.int32)
+    place -= step
+    place *= width.take(step, mode="clip")
+    place += known.take(step, mode="clip")
+    return place
 
 
 def log_density(proba: FloatArray, codes: IntArray, widths: FloatArray) -> FloatArray:

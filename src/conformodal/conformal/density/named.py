@@ -33,13 +33,17 @@ Folds: TypeAlias = list[tuple[IntArray, IntArray]]
 
 # a second boosting, of smaller trees, is fitted on at most so many rows
 _SECOND_ROWS = 700
+# of more rows, boosting grows half as many trees of twice as many leaves, which are as good and answer faster
+_MANY_ROWS = 8000
 # the Gaussian process of the stack is fitted on at most so many rows
 _PROCESS_ROWS = 1500
 # that of the quick density on at most so many, its kernel found on fewer, in at most so many steps
 _SMOOTH_ROWS, _KERNEL_ROWS, _KERNEL_STEPS = 1000, 300, 30
 # columns beyond which they share one length scale; standard deviations of the prior of its logarithm, and at which a
-# column is cut off; least weight in the location
-_MAX_LENGTHS, _PRIOR_SD, _REACH, _MIN_SHARE = 40, 2.0, 6.0, 0.05
+# column is cut off
+_MAX_LENGTHS, _PRIOR_SD, _REACH = 40, 2.0, 6.0
+# least weight in the location; of many rows more, as its answers take longer than those of all trees
+_MIN_SHARE, _MIN_SHARE_OF_MANY = 0.05, 0.2
 _KERNEL_BLOCK = 256  # rows whose kernel fits into a cache
 _JITTER = 1e-8  # least variance of noise, for a matrix that can be inverted
 # networks of the stack; gradient steps of each: rows times epochs, within limits
@@ -47,7 +51,7 @@ _NETWORKS, _ROWS_SEEN = 3, 600_000
 # columns that a model of a location or spread gets, or as many as there are rows if these are more
 _MAX_COLUMNS = 128
 # (rows, trees, folds): trees of a forest and folds of the quick density for at most so many rows
-_TREES_AND_FOLDS = ((1500, 60, 5), (3000, 60, 3), (5000, 40, 3), (8000, 30, 3), (np.inf, 30, 2))
+_TREES_AND_FOLDS = ((1500, 60, 5), (3000, 60, 3), (5000, 40, 3), (8000, 30, 3), (np.inf, 20, 2))
 # rows that the quick density learns from, drawn at random if there are more; held-out rows that choose its weights
 _MAX_ROWS, _VALIDATION_ROWS = 30_000, 1000
 
@@ -120,7 +124,8 @@ class QuickDensity(MixtureDensity):
             self.location_ = Location().fit(members, features, z, weight, folds, means, smooth)
             summary = self.location_.summary(self.location_.out_of_fold_)
             loc, extended = summary[:, 0], np.column_stack((features, summary))
-            rough, folds = boosting(0.1, 40, 8, 20, n, seed), folds_of(n, seed, min(n_folds, 3))
+            size = (0.1, 40, 8, 20) if n <= _MANY_ROWS else (0.2, 20, 15, 20)
+            rough, folds = boosting(*size, n, seed), folds_of(n, seed, min(n_folds, 3))
             log_spreads, self.spread_ = fit_out_of_fold(rough, extended, log_spread(z - loc), weight, folds)
             spread = np.exp(log_spreads)
             scaled = (z - loc) / spread
@@ -219,7 +224,7 @@ class Location:
     ) -> Self:
         """Fit untrained `members`; `forest` (n,) are out-of-bag means of one more.
 
-        The member `smooth` stays out unless its weight is a twentieth or more.
+        The member `smooth` stays out unless its weight is a twentieth or more, of many rows a fifth.
         """
         fits = [fit_out_of_fold(member, X, y, weight, folds) for member in members]
         self._models = [model for _, model in fits]
@@ -231,7 +236,7 @@ class Location:
         guess, model = fit_out_of_fold(smooth, X, y, weight, folds)
         wider = np.column_stack((guess, self.out_of_fold_))
         weights = _stacking_weights(wider, y, weight)
-        if weights[0] >= _MIN_SHARE:
+        if weights[0] >= (_MIN_SHARE if y.size <= _MANY_ROWS else _MIN_SHARE_OF_MANY):
             self._models, self.out_of_fold_, self.weights_ = [model, *self._models], wider, weights
         return self
 
@@ -254,7 +259,8 @@ def _stacking_weights(predictions: FloatArray, y: FloatArray, weight: FloatArray
 
 def quick_members(n: int, seed: int) -> list[Maker]:
     """Boosted trees, on small tables of two kinds."""
-    members = [boosting(0.15, 150, 15, 5, n, seed)]
+    size = (0.15, 150, 15, 5) if n <= _MANY_ROWS else (0.15, 75, 31, 5)
+    members = [boosting(*size, n, seed)]
     if n <= _SECOND_ROWS:
         members.append(boosting(0.1, 300, 8, 5, n, seed))
     return members
