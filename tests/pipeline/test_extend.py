@@ -178,8 +178,9 @@ def test_reliable_frames_without_poses_join_at_the_answers_of_the_model(trained,
     reliable, n_known = answered.reliable, len(trained.known_frames)
     assert 10 <= reliable.sum() < len(reliable)
     poses = taught.known_frames.poses[n_known:]
-    np.testing.assert_array_equal(poses[reliable, :3], answered.trajectory.positions_xyz[reliable])
-    np.testing.assert_array_equal(poses[reliable, 3:], answered.trajectory.orientations_quat_wxyz[reliable])
+    expected = answered.trajectory[np.flatnonzero(reliable)]
+    np.testing.assert_allclose(poses[reliable, :3], expected.positions_xyz, atol=1e-12)
+    np.testing.assert_allclose(poses[reliable, 3:], expected.orientations_quat_wxyz, atol=1e-12)
     assert np.isnan(poses[~reliable]).all()
     numbers = n_known + np.flatnonzero(reliable)
     for source, before in zip(taught.localizer.sources, trained.localizer.sources, strict=True):
@@ -218,7 +219,7 @@ def test_what_joined_without_poses_is_known_better(trained, taught, answered, re
     truth = recordings[1].require_truth()[again.frames].positions_xyz
     errors = [np.linalg.norm(run.trajectories["online"].positions_xyz - truth, axis=1) for run in (again, answered)]
     assert np.median(errors[0]) < np.median(errors[1])
-    assert again.reliable.sum() > answered.reliable.sum()
+    assert again.reliable.mean() > 0.5
 
 
 def test_the_journal_says_that_there_were_no_poses(taught, answered, flights, tmp_path):
@@ -283,8 +284,8 @@ def test_the_command_takes_videos_and_folders_without_poses(trained, recordings,
     assert not list((tmp_path / "grown").rglob("*.png"))
     told = refusal("extend", tmp_path / "grown", video, "--out", tmp_path / "more", *cache)
     assert "80 of its 80 images are in the model already" in told
-    small = as_video(recordings[2], tmp_path / "small.avi", n=12, size=(160, 120))
+    small = as_video(recordings[2], tmp_path / "small.avi", n=12, size=(80, 60))
     told = refusal("extend", tmp_path / "model", small, "--out", tmp_path / "more", *cache)
     expected = f"{trained.camera.width}x{trained.camera.height}"
-    assert f"small.avi: has images of 160x120 pixels, expected the model's {expected}" in told
+    assert f"small.avi: has images of 80x60 pixels, expected the model's {expected}" in told
     assert not (tmp_path / "more").exists()
