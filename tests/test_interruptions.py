@@ -170,7 +170,7 @@ def extending(tmp_path, monkeypatch, old, new):
         return new
 
     (tmp_path / "new").mkdir()
-    monkeypatch.setattr(extend, "open_sequences", lambda *_, **__: SimpleRecording())
+    monkeypatch.setattr(extend, "open_recording", lambda *_, **__: SimpleRecording())
     monkeypatch.setattr(extend, "check_extension", lambda *_: None)
     monkeypatch.setattr(extend, "load_model", lambda _: old)
     monkeypatch.setattr(extend, "extend_model", extended)

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,11 +15,12 @@ from conformodal.io.recording import join_recordings
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.evaluate import RegionStatistics
-from conformodal.pipeline.extend import describe_units, extend_model
+from conformodal.pipeline.extend import extend_model
 from conformodal.pipeline.guarantee import describe_guarantee
 from conformodal.pipeline.model import PATHS
 from conformodal.pipeline.store import load_model, save_model
 from conformodal.pipeline.train import train_model
+from conformodal.pipeline.whole_recordings import describe_units
 from tests.helpers import refusal, run_ok
 
 pytestmark = pytest.mark.slow
@@ -49,6 +51,23 @@ def trained(recordings):
 @pytest.fixture(scope="module")
 def extended(trained, recordings):
     return extend_model(trained, recordings[1:2])
+
+
+@pytest.fixture(scope="module")
+def without_poses(recordings):
+    """The second recording; its poses are not known."""
+    return replace(recordings[1], poses=None)
+
+
+@pytest.fixture(scope="module")
+def answered(trained, without_poses):
+    return VisualOdometry(trained).process(without_poses)
+
+
+@pytest.fixture(scope="module")
+def taught(trained, without_poses):
+    """The model with the reliable frames of the second recording, at its own answers."""
+    return extend_model(trained, [without_poses])
 
 
 def test_a_recording_is_answered_by_the_model_that_has_not_seen_it(trained, recordings, extended):
@@ -124,8 +143,8 @@ def test_a_recording_is_refused_twice(extended, recordings):
 
 def test_what_cannot_extend_a_model_is_refused(trained, recordings):
     one = recordings[1]
-    with pytest.raises(ConformodalError, match="frames without a pose"):
-        extend_model(trained, [replace(one, poses=None)])
+    with pytest.raises(ConformodalError, match="100 frames without a pose; a recording needs one for each, or none"):
+        extend_model(trained, [replace(one, poses=one.poses[:50])])
     other = replace(one, camera=replace(one.camera, fx=2 * one.camera.fx))
     with pytest.raises(ConformodalError, match="is from another camera"):
         extend_model(trained, [other])
@@ -153,3 +172,120 @@ def test_the_command_tests_then_teaches(trained, flights, tmp_path):
 def test_a_folder_of_several_recordings_is_refused(trained, recordings):
     with pytest.raises(ConformodalError, match="holds 2 recordings; give the folder of each"):
         extend_model(trained, [join_recordings(recordings[1:])])
+
+
+def test_reliable_frames_without_poses_join_at_the_answers_of_the_model(trained, taught, answered):
+    reliable, n_known = answered.reliable, len(trained.known_frames)
+    assert 10 <= reliable.sum() < len(reliable)
+    poses = taught.known_frames.poses[n_known:]
+    expected = answered.trajectory[np.flatnonzero(reliable)]
+    np.testing.assert_allclose(poses[reliable, :3], expected.positions_xyz, atol=1e-12)
+    np.testing.assert_allclose(poses[reliable, 3:], expected.orientations_quat_wxyz, atol=1e-12)
+    assert np.isnan(poses[~reliable]).all()
+    numbers = n_known + np.flatnonzero(reliable)
+    for source, before in zip(taught.localizer.sources, trained.localizer.sources, strict=True):
+        np.testing.assert_array_equal(source.frames, np.concatenate((before.frames, numbers)))
+        assert source.errors == before.errors
+    assert len(taught.landmarks.map.points_xyz) > len(trained.landmarks.map.points_xyz)
+    np.testing.assert_array_equal(taught.landmarks.held_out, trained.landmarks.held_out)
+    every = np.arange(n_known, len(taught.known_frames))
+    assert len(every) == len(answered.frames)
+    np.testing.assert_array_equal(taught.split.train, np.concatenate((trained.split.train, every)))
+    np.testing.assert_array_equal(taught.split.calibration, trained.split.calibration)
+
+
+def test_a_recording_without_poses_calibrates_nothing(trained, taught):
+    assert taught.rules.by_type.keys() == trained.rules.by_type.keys()
+    for kind, rule in trained.rules.by_type.items():
+        np.testing.assert_array_equal(taught.rules.by_type[kind].thresholds_, rule.thresholds_)
+    np.testing.assert_array_equal(taught.calibration.scores_, trained.calibration.scores_)
+    np.testing.assert_array_equal(taught.calibration.units_, trained.calibration.units_)
+    for path in PATHS:
+        rule, before = taught.path_rules[path].calibration, trained.path_rules[path].calibration
+        np.testing.assert_array_equal(rule.thresholds_, before.thresholds_)
+        np.testing.assert_array_equal(rule.scores_, before.scores_)
+    for test, before in (
+        (taught.novelty.test, trained.novelty.test),
+        (taught.novelty.matched, trained.novelty.matched),
+    ):
+        np.testing.assert_array_equal(test.references, before.references)
+        np.testing.assert_array_equal(test.scores_, before.scores_)
+        np.testing.assert_array_equal(test.units_, before.units_)
+    assert "calibrate nothing" in describe_guarantee(taught)
+
+
+def test_what_joined_without_poses_is_known_better(trained, taught, answered, recordings):
+    again = VisualOdometry(taught).process(recordings[1])
+    truth = recordings[1].require_truth()[again.frames].positions_xyz
+    errors = [np.linalg.norm(run.trajectories["online"].positions_xyz - truth, axis=1) for run in (again, answered)]
+    assert np.median(errors[0]) < np.median(errors[1])
+    assert again.reliable.mean() > 0.5
+
+
+def test_the_journal_says_that_there_were_no_poses(taught, answered, flights, tmp_path):
+    [entry] = taught.journal
+    n, n_reliable = len(answered.frames), int(answered.reliable.sum())
+    assert (entry.coverage, entry.path_coverage, entry.median_m, entry.n_units) == (None, None, None, 0)
+    assert entry.bounded == np.mean(~answered.regions.unbounded.any(axis=1))
+    said = f"{n} frames, no poses: joined the map alone, with {n_reliable} reliable frames"
+    assert said in entry.describe()
+    assert f"the other {n - n_reliable} joined nothing" in entry.describe()
+    save_model(taught, tmp_path / "model")
+    loaded = load_model(tmp_path / "model")
+    assert loaded.journal == taught.journal
+    np.testing.assert_array_equal(loaded.known_frames.poses, taught.known_frames.poses)
+    assert entry.describe() in run_ok("info", tmp_path / "model").output
+    run_ok("run", tmp_path / "model", flights[2], "--limit", "3", "--out", tmp_path / "run")
+    [written] = json.loads((tmp_path / "run" / "metrics.json").read_text(encoding="utf-8"))["journal"]
+    assert written["coverage"] is None
+    assert "no poses: joined the map alone" in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_recording_without_poses_is_refused_twice_or_from_another_camera(trained, taught, without_poses):
+    with pytest.raises(ConformodalError, match=r"flight-6.*images are in the model already"):
+        extend_model(taught, [without_poses])
+    other = replace(without_poses.camera, fx=2 * without_poses.camera.fx)
+    with pytest.raises(ConformodalError, match="is from another camera"):
+        extend_model(trained, [replace(without_poses, camera=other)])
+
+
+def test_too_few_reliable_frames_are_refused(trained, without_poses):
+    """Nine frames are, even if all are reliable."""
+    few = slice(None, 9)
+    short = {"image_paths": without_poses.image_paths[few], "recording": without_poses.recording[few]}
+    short = replace(without_poses, timestamps_s=without_poses.timestamps_s[few], **short)
+    with pytest.raises(ConformodalError, match=r"no poses, and \d of 9 frames \(\d+ %\) .* expected 10 or more; begin"):
+        extend_model(trained, [short])
+
+
+def as_video(recording, path, n=80, size=None):
+    """The frames of a recording as a video without a loss."""
+    images = [recording.image(i) for i in range(n)]
+    images = images if size is None else [cv2.resize(image, size) for image in images]
+    size = images[0].shape[1::-1]
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 30.0, size)
+    for image in images:
+        video.write(cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+    video.release()
+    return path
+
+
+def test_the_command_takes_videos_and_folders_without_poses(trained, recordings, flights, tmp_path):
+    save_model(trained, tmp_path / "model")
+    video, folder = as_video(recordings[1], tmp_path / "walk.avi"), tmp_path / "images"
+    folder.mkdir()
+    for i, path in enumerate(recordings[2].image_paths[:80]):
+        (folder / f"{i:03d}.png").write_bytes(path.read_bytes())
+    cache = "--cache", tmp_path / "cache"
+    result = run_ok("extend", tmp_path / "model", video, folder, "--out", tmp_path / "grown", *cache)
+    assert result.output.count("80 frames, no poses: joined the map alone") == 2
+    assert "taken for the model's camera" in result.output
+    assert [entry.name for entry in load_model(tmp_path / "grown").journal] == ["walk.avi", "images"]
+    assert not list((tmp_path / "grown").rglob("*.png"))
+    told = refusal("extend", tmp_path / "grown", video, "--out", tmp_path / "more", *cache)
+    assert "80 of its 80 images are in the model already" in told
+    small = as_video(recordings[2], tmp_path / "small.avi", n=12, size=(80, 60))
+    told = refusal("extend", tmp_path / "model", small, "--out", tmp_path / "more", *cache)
+    expected = f"{trained.camera.width}x{trained.camera.height}"
+    assert f"small.avi: has images of 80x60 pixels, expected the model's {expected}" in told
+    assert not (tmp_path / "more").exists()

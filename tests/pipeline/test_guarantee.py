@@ -74,7 +74,7 @@ def test_the_guarantee_is_stated_with_its_condition(split, groups, n_folds_only,
     whole = model(groups=groups)
     whole.calibration, whole.alpha, whole.n_calibration, whole.configuration = whole.rules.overall, 0.1, 60, {}
     whole.split, whole.frames_are_exchangeable = SimpleNamespace(kind=SplitKind(split)), split == "interleaved"
-    whole.comparison, whole.journal = None, ()
+    whole.comparison, whole.journal, whole.journal_with_poses = None, (), []
     if n_folds_only is not None:
         whole.comparison = SourceComparison(100, 58, 0, n_folds_only, 0.5)
     text = describe_guarantee(whole)

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conformodal.pipeline.extend import calibrate_by_recordings, describe_units, n_recordings_needed
-from conformodal.pipeline.guarantee import short_guarantee
+from conformodal.pipeline.guarantee import describe_guarantee, short_guarantee
 from conformodal.pipeline.model import JournalEntry
 from conformodal.pipeline.store import load_model, save_model
+from conformodal.pipeline.whole_recordings import calibrate_by_recordings, describe_units, n_recordings_needed
 from tests.small_model import small_model
 
 
@@ -37,6 +37,29 @@ def test_stretches_stay_where_recordings_are_too_few_or_regions_would_become_unb
     assert (n_recordings_needed(model) <= 3) == (alpha == 0.3)
     assert calibrate_by_recordings(model) is model
     assert describe_units(model).startswith("Stretches calibrate: 20, those of 3 recordings")
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_recording_without_poses_is_not_one_of_those_that_calibrate(first):
+    numbers = {"coverage": None, "bounded": 1.0, "path_coverage": None, "path_bounded": None}
+    numbers |= {"reliable": 0.5, "median_m": None, "first_unit": 0, "n_units": 0}
+    alone = JournalEntry(name="walk.mp4", date="2026-01-01", n_frames=40, **numbers)
+
+    def joined(model):
+        return replace(model, journal=(alone, *model.journal) if first else (*model.journal, alone))
+
+    stretches, recordings = joined(grown(0.2)), joined(grown(0.6))
+    assert calibrate_by_recordings(stretches) is stretches  # four are needed
+    assert "those of 3 recordings" in describe_units(stretches)
+    text = describe_guarantee(stretches)
+    assert "3 recordings joined after training, each judged" in text
+    assert "1 recording without poses joined" in text
+    after, without = calibrate_by_recordings(recordings), calibrate_by_recordings(grown(0.6))
+    np.testing.assert_array_equal(after.calibration.units_, without.calibration.units_)
+    assert describe_units(after).startswith("Whole recordings calibrate: 3, of which 3 joined")
+    lonely = replace(grown(0.6), journal=(alone,))
+    assert calibrate_by_recordings(lonely) is lonely
+    assert "of the same recording" in short_guarantee(lonely)
 
 
 def test_recordings_calibrate_without_the_stretches_of_the_training(tmp_path):

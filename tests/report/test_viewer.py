@@ -18,6 +18,8 @@ JOURNAL = [
      "median_m": 0.012},
     {"name": "<b>wednesday", "date": "2026-01-03", "n_frames": 51, "coverage": 0.7, "bounded": 1.0, "reliable": 0.5,
      "median_m": 0.3},
+    {"name": "walk.mp4", "date": "2026-01-04", "n_frames": 52, "coverage": None, "bounded": 0.8, "reliable": 0.6,
+     "median_m": None},
 ]  # fmt: skip
 METRICS = {"provenance": {}, "configuration": {}, "n_answered": 60, "split_note": "all frames."}
 
@@ -52,6 +54,9 @@ def test_the_page_shows_how_each_recording_was_answered_before_it_joined(make_ru
     assert [width for width in ("94.0", "70.0") if f'<rect width="{width}"' in section] == ["94.0", "70.0"]
     assert section.count('d="M80.0 0') == 2  # what is asked for
     assert "&lt;b&gt;wednesday" in section
+    assert section.count("no poses: joined the map alone") == 1
+    assert section.count("<svg") == 2  # none of it
+    assert section.count("reliable frames joined the map at") == 1
     page = page_of(tmp_path, make_run()).read_text(encoding="utf-8")
     assert 'id="journal"' not in page
 

@@ -6,11 +6,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from conformodal.pipeline.extend import describe_units
 from conformodal.pipeline.guarantee import describe_guarantee, guarantees, short_guarantee
 from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.results import METRICS, read_metrics
 from conformodal.pipeline.store import load_model, model_digest
+from conformodal.pipeline.whole_recordings import describe_units
 
 from .console import AsJson, Verbose, print_json, report_line
 from .sources import SavedModel

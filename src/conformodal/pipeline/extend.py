@@ -2,12 +2,11 @@
 
 A recording is answered as a stream by the model that has not seen it. Its scores join the calibration, then its frames
 join the map and the other sources that can learn from what the model stores. Images of earlier recordings are not
-needed.
+needed. A recording without poses joins the sources alone, with the frames of which the model is sure.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
@@ -26,6 +25,7 @@ from conformodal.geometry import RelativeMotion, concatenate, pose_targets, traj
 from conformodal.io import Recording, Split
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import hindsight_posteriors
+from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.observations import Observations, Posterior
 from conformodal.localizer.regions import PlaceNovelty, RegionRules
 from conformodal.localizer.rooms import Rooms
@@ -39,7 +39,9 @@ from .estimates import Estimate
 from .estimator import VisualOdometry
 from .identity import FrameIdentities, identify
 from .model import HINDSIGHT, ONLINE, JournalEntry, Localization, PathRule, PoseModel
+from .own_poses import answer_reliably
 from .stream_scores import StreamScores
+from .whole_recordings import calibrate_by_recordings
 
 ASSUMPTION = (
     "This assumes that the recordings that joined are exchangeable in the order in which they came. Each was judged by "
@@ -55,7 +57,7 @@ def extend_model(
     cache: FeatureCache | None = None,
     progress: StageProgress | None = None,
 ) -> PoseModel:
-    """Extend a model by recordings with poses in its world frame, one after another, in the order in which they came.
+    """Extend a model by recordings, one after another, in the order in which they came.
 
     The thresholds rest on the assumption that the recordings are exchangeable, and that the scores of each, under the
     smaller map before it, are no smaller than they would be under the map at the end. Head, motion prior and cells
@@ -66,7 +68,8 @@ def extend_model(
     model
         One that stretches or recordings calibrate.
     recordings
-        With a pose for every frame, from the model's camera; none of its images may be in the model.
+        From the model's camera, with a pose in its world frame for every frame, or for none: then reliable frames join
+        the map at the model's own answers, and nothing calibrates. None of its images may be in the model.
     cache
         Where features of the network are kept; by default they are not.
     progress
@@ -77,8 +80,10 @@ def extend_model(
     OdometryError
         If the model or a recording cannot be used; it names them.
     """
+    cache = FeatureCache(None) if cache is None else cache
     for recording in recordings:
-        model = _extended(model, recording, FeatureCache(None) if cache is None else cache, progress)
+        extended = _extended if len(recording.posed) else _extended_by_own_poses
+        model = extended(model, recording, cache, progress)
     return model
 
 
@@ -91,10 +96,11 @@ def check_extension(model: PoseModel, recording: Recording) -> FrameIdentities:
         raise OdometryError("random frames calibrate the model; train with --split blocks or recordings to extend it")
     if (n := len(np.unique(recording.recording))) > 1:
         raise OdometryError(f"{name}: holds {n} recordings; give the folder of each, in the order in which they came")
-    if recording.truth is None:
-        n_without = len(recording) - len(recording.posed)
-        raise OdometryError(f"{name}: {counted(n_without, 'frame')} without a pose; a recording needs one for each")
-    if recording.unit != model.configuration["unit"]:
+    n_posed = len(recording.posed)
+    if 0 < n_posed < len(recording):
+        n_without = counted(len(recording) - n_posed, "frame")
+        raise OdometryError(f"{name}: {n_without} without a pose; a recording needs one for each, or none at all")
+    if n_posed and recording.unit != model.configuration["unit"]:
         raise OdometryError(f"{name}: has lengths in {recording.unit}, and the model in {model.configuration['unit']}")
     try:
         model.check_camera(recording.camera)
@@ -103,6 +109,8 @@ def check_extension(model: PoseModel, recording: Recording) -> FrameIdentities:
     frames = identify(recording)
     if n := int(model.known_frames.known(frames).sum()):
         raise OdometryError(f"{name}: {n} of its {counted(len(recording), 'image')} are in the model already")
+    if recording.truth is None:
+        return frames
     targets = pose_targets(recording.truth, model.sign_reference)
     beyond = (model.localizer.cells.encode(targets) < 0).any(axis=1)
     if beyond.mean() > _MAX_BEYOND:
@@ -117,42 +125,71 @@ def _extended(model: PoseModel, recording: Recording, cache: FeatureCache, progr
     frames = check_extension(model, recording)
     n, n_known = len(recording), len(model.known_frames)
     numbers = np.arange(n_known, n_known + n)
-    data, motions = _looked_at(model, recording, cache, progress)
+    data = _training_data(model, recording, cache, progress)
+    motions = data.run_front_end(np.arange(n), local=model.looks_at_local_features, motions=True)
     estimates = _answered(model, data, motions, progress)
     units = _units_of(model, n)
     entry = _journal_entry(model, recording, estimates, units)
-    sources = [
-        source.extended(data, numbers) if isinstance(source, GrowsWithFrames) else source
-        for source in model.localizer.sources
-    ]
+    localizer = _with_frames(model, data, numbers)
     localization = Localization.concatenate([one.localization for one in estimates if one.localization is not None])
     rooms, model = _with_rooms(model, data)
     rules, path_rules = _with_scores(model, data, localization, estimates, units, rooms)
-    known = model.known_frames
     split = replace(model.split, calibration=np.concatenate((model.split.calibration, numbers)))
     grown = replace(
         model,
-        localizer=replace(model.localizer, sources=tuple(sources)),
+        localizer=localizer,
         novelty=_with_references(model, data, localization, estimates, units),
         rules=rules,
         path_rules=path_rules,
         rooms=rooms,
         split=split,
-        known_frames=FrameIdentities.concatenate([known, frames]),
+        known_frames=FrameIdentities.concatenate([model.known_frames, frames]),
         configuration={**model.configuration, "n_frames": n_known + n},
         journal=(*model.journal, entry),
     )
     return calibrate_by_recordings(grown)
 
 
-def _looked_at(
+def _extended_by_own_poses(
     model: PoseModel, recording: Recording, cache: FeatureCache, progress: StageProgress | None
-) -> tuple[TrainingData, dict[int, RelativeMotion | None]]:
-    """What is measured in the images of a recording."""
+) -> PoseModel:
+    """The model whose sources know the reliable frames of a recording without poses; what calibrates stays."""
+    frames, n_known = check_extension(model, recording), len(model.known_frames)
+    joining = answer_reliably(model, recording, progress)
+    data = _training_data(model, joining.recording, cache, progress)
+    localizer = _with_frames(model, data, n_known + joining.frames, learn_errors=False)
+    rooms, model = _with_rooms(model, data)
+    truth = joining.recording.require_truth()
+    frames.poses[joining.frames] = np.column_stack((truth.positions_xyz, truth.orientations_quat_wxyz))
+    numbers = np.arange(n_known, n_known + len(recording))
+    return replace(
+        model,
+        localizer=localizer,
+        rooms=rooms,
+        split=replace(model.split, train=np.concatenate((model.split.train, numbers))),
+        known_frames=FrameIdentities.concatenate([model.known_frames, frames]),
+        configuration={**model.configuration, "n_frames": n_known + len(recording)},
+        journal=(*model.journal, joining.entry),
+    )
+
+
+def _with_frames(model: PoseModel, data: TrainingData, numbers: IntArray, *, learn_errors: bool = True) -> Localizer:
+    """The localizer whose sources, as far as they can, know all frames of a recording by their numbers (n,)."""
+    sources = [
+        source.extended(data, numbers, learn_errors=learn_errors) if isinstance(source, GrowsWithFrames) else source
+        for source in model.localizer.sources
+    ]
+    return replace(model.localizer, sources=tuple(sources))
+
+
+def _training_data(
+    model: PoseModel, recording: Recording, cache: FeatureCache, progress: StageProgress | None
+) -> TrainingData:
+    """A recording with poses, and the features of its images."""
     stage = stage_of(progress, "features")
     features = extract_features(recording.image_paths, model.backbone, cache, stage, recording.noise)
     targets = pose_targets(recording.require_truth(), model.sign_reference)
-    data = TrainingData(
+    return TrainingData(
         recording,
         Split(model.split.kind, model.split.seed, np.arange(len(recording)), *[np.empty(0, dtype=np.int64)] * 2),
         features,
@@ -163,7 +200,6 @@ def _looked_at(
         progress=progress,
         detector=model.detector,
     )
-    return data, data.run_front_end(np.arange(len(recording)), local=model.looks_at_local_features, motions=True)
 
 
 class _Replay(VisualOdometry):
@@ -354,86 +390,3 @@ def _with_rooms(model: PoseModel, data: TrainingData) -> tuple[Rooms | None, Pos
         for path, rule in model.path_rules.items()
     }
     return rooms, replace(model, rules=rules, path_rules=path_rules)
-
-
-def n_recordings_needed(model: PoseModel) -> int:
-    """Recordings that a finite threshold at the model's alpha needs."""
-    return math.ceil(1 / model.calibration.alpha_per_target) - 1
-
-
-def describe_units(model: PoseModel) -> str:
-    """What calibrates an extended model, in a sentence."""
-    n, needed = len(model.journal), n_recordings_needed(model)
-    if model.configuration.get("whole_recordings"):
-        return f"Whole recordings calibrate: {model.calibration.n_units}, of which {n} joined after training."
-    return (
-        f"Stretches calibrate: {model.calibration.n_units}, those of {counted(n, 'recording')} that joined after "
-        f"training among them. Whole recordings will, once {needed} have joined and no regions become unbounded by it."
-    )
-
-
-def _is_bounded(rule: SplitConformal) -> bool:
-    return bool(np.isfinite(rule.thresholds_).all())
-
-
-def calibrate_by_recordings(model: PoseModel) -> PoseModel:
-    """The model calibrated on whole recordings, once enough have joined; else as it is.
-
-    Each was answered by a map that had not seen it. Stretches of the training recordings were answered by maps that had
-    seen their neighbours, and no longer calibrate, but for disturbed images, of which there are copies of those alone.
-    Neither an evidence type nor a path loses its bounded regions.
-    """
-    if model.configuration.get("whole_recordings") or len(model.journal) < n_recordings_needed(model):
-        return model
-    first = model.journal[0].first_unit
-    ends = np.array([entry.first_unit + entry.n_units for entry in model.journal])
-
-    def recordings_of(units: IntArray) -> IntArray:
-        return first + np.searchsorted(ends, units, side="right")
-
-    rules, overall = model.rules, model.rules.overall
-    assert overall.units_ is not None
-    later = overall.units_ >= first
-    by_recording = replace(
-        rules,
-        overall=copy(overall).calibrate_scores(overall.scores_[later], recordings_of(overall.units_[later])),
-        recognised=None if rules.recognised is None else rules.recognised[later],
-        known_p=rules.known_p[later],
-        rooms=None if rules.rooms is None else rules.rooms[later],
-    )
-    bounded = [kind for kind, rule in rules.by_type.items() if _is_bounded(rule)]
-    if not all(_is_bounded(by_recording.by_type[kind]) for kind in bounded):
-        return model
-    sizes = np.array([entry.n_frames for entry in model.journal])
-    path_rules = {}
-    for path, rule in model.path_rules.items():
-        units = rule.calibration.units_
-        assert units is not None
-        rows = units >= first
-        number = recordings_of(units[rows])
-        calibration = copy(rule.calibration).calibrate_scores(
-            rule.calibration.scores_[rows], number, sizes[number - first]
-        )
-        path_rules[path] = replace(
-            rule, calibration=calibration, rooms=None if rule.rooms is None else rule.rooms[rows]
-        )
-        if _is_bounded(rule.calibration) and not _is_bounded(calibration):
-            return model
-    novelty = model.novelty
-    if novelty is not None:
-        units = novelty.test.units_
-        # the training recordings, of which it is not stored which frame is of which, are one unit
-        test = NoveltyTest(novelty.test.references, np.where(units < first, first - 1, recordings_of(units)))
-        matched = novelty.matched
-        if matched is not None:
-            rows = matched.units_ >= first
-            matched = test.rescored(matched.scores_[rows], recordings_of(matched.units_[rows]))
-        novelty = replace(novelty, test=test, matched=matched)
-    return replace(
-        model,
-        rules=by_recording,
-        path_rules=path_rules,
-        novelty=novelty,
-        comparison=None,
-        configuration={**model.configuration, "whole_recordings": True},
-    )

@@ -46,10 +46,15 @@ def _of_all_rooms(model: PoseModel) -> str:
         f"a random frame of a new {unit}, if it is exchangeable with the {rule.n_units} that calibrate them, and the "
         "model's sources, which know all of these, have no larger scores than those that lacked some."
     )
-    if model.journal:
+    if n_judged := len(model.journal_with_poses):
         text += (
-            f" {counted(len(model.journal), 'recording')} joined after training, each judged by the smaller map before "
+            f" {counted(n_judged, 'recording')} joined after training, each judged by the smaller map before "
             "it: this holds if they are exchangeable in the order in which they came, and more map helps."
+        )
+    if n_unposed := len(model.journal) - n_judged:
+        text += (
+            f" {counted(n_unposed, 'recording')} without poses joined the map where the model's own answers put them, "
+            "and calibrate nothing: this holds if they made no scores larger."
         )
     if unit == "stretch":
         text += " It does not reach a recording of which nothing is known."
@@ -75,7 +80,7 @@ def short_guarantee(model: PoseModel) -> str:
     if rule.units_ is not None:
         if model.configuration.get("whole_recordings"):
             return f"{what}the frames of a new recording, on average over these"
-        of = "one of these recordings" if model.journal else "the same recording"
+        of = "one of these recordings" if model.journal_with_poses else "the same recording"
         return f"{what}the frames of a new stretch of {of}, on average over these{_NOT_ELSEWHERE}"
     if model.frames_are_exchangeable:
         return f"{what}frames drawn at random from the same recording{_NOT_ELSEWHERE}"

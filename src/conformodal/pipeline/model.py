@@ -138,27 +138,36 @@ class SourceComparison:
 
 @dataclass(frozen=True)
 class JournalEntry:
-    """A recording that joined a model later, and how the model answered it before it had seen it."""
+    """A recording that joined a model later, and how the model answered it before it had seen it.
+
+    One without poses joined the map alone, with its reliable frames: what true poses tell is None.
+    """
 
     name: str
     date: str  # on which it joined, ISO 8601
     n_frames: int
-    coverage: float  # of the regions of images
+    coverage: float | None  # of the regions of images
     bounded: float  # share of these that are bounded
     path_coverage: float | None  # of the regions from all frames until then; None where the model has none
     path_bounded: float | None
     reliable: float  # share of the frames that are called reliable
-    median_m: float  # error of the position, online
+    median_m: float | None  # error of the position, online
     first_unit: int  # label of its first calibration unit; the others follow
-    n_units: int
+    n_units: int  # 0 without poses
 
     def describe(self) -> str:
         """The entry in a line."""
+        head, bounded = f"{self.date} {self.name}: {counted(self.n_frames, 'frame')}", f"{100 * self.bounded:.0f} %"
+        if self.coverage is None or self.median_m is None:
+            n = round(self.reliable * self.n_frames)
+            return (
+                f"{head}, no poses: joined the map alone, with {n} reliable frames ({100 * self.reliable:.0f} %); the "
+                f"other {self.n_frames - n} joined nothing; before, {bounded} of the regions were bounded"
+            )
         path = "" if self.path_coverage is None else f" (with motion {100 * self.path_coverage:.1f} %)"
         return (
-            f"{self.date} {self.name}: {counted(self.n_frames, 'frame')}, before it joined: regions held "
-            f"{100 * self.coverage:.1f} %{path}, {100 * self.bounded:.0f} % bounded, {100 * self.reliable:.0f} % "
-            f"reliable, median error {self.median_m:.3f}"
+            f"{head}, before it joined: regions held {100 * self.coverage:.1f} %{path}, {bounded} bounded, "
+            f"{100 * self.reliable:.0f} % reliable, median error {self.median_m:.3f}"
         )
 
 
@@ -255,6 +264,11 @@ class PoseModel:
     def sign_reference(self) -> FloatArray:
         """(4,) quaternion that fixes the signs of quaternions."""
         return self.localizer.sign_reference
+
+    @property
+    def journal_with_poses(self) -> list[JournalEntry]:
+        """The recordings that joined after training and calibrate, in their order."""
+        return [entry for entry in self.journal if entry.n_units]
 
     @property
     def calibration(self) -> SplitConformal:

@@ -12,6 +12,9 @@ from conformodal.localizer.training_data import TrainingData
 class GrowsWithFrames(Protocol):
     """A source that keeps what it needs to learn from new recordings; others stay as they are."""
 
-    def extended(self, data: TrainingData, numbers: IntArray) -> Self:
-        """The source with all frames of new data as well, whose `numbers` (n,) follow those of the known frames."""
+    def extended(self, data: TrainingData, numbers: IntArray, *, learn_errors: bool = True) -> Self:
+        """The source with all frames of new data as well, whose `numbers` (n,) follow those of the known frames.
+
+        Without `learn_errors`, the poses are the model's own answers, which do not tell how large errors are.
+        """
         ...

@@ -118,26 +118,29 @@ class LandmarkSource:
         grid = None if data.detector.describes_images else data.grid
         return None if errors is None else cls(landmarks, frames, errors, grid, held_out)
 
-    def extended(self, data: TrainingData, numbers: IntArray) -> Self:
+    def extended(self, data: TrainingData, numbers: IntArray, *, learn_errors: bool = True) -> Self:
         """With all frames of other data, whose `numbers` (n,) among the known frames are larger than the known ones.
 
         Errors are learnt from those of earlier frames and of some of these, estimated with their whole recording, their
-        stretch or their surroundings hidden.
+        stretch or their surroundings hidden; without `learn_errors` they stay as they were.
         """
         every, whole = data.sequence.require_truth(), np.arange(len(numbers))
         chosen = whole[_keyframes(every.poses_se3, self.map.depth_m)]
-        left_out, report = evenly_spread(len(chosen), _LEFT_OUT), stage_of(data.progress, "landmarks")
+        left_out = evenly_spread(len(chosen), _LEFT_OUT if learn_errors else 0)
+        report = stage_of(data.progress, "landmarks")
 
         def done(before: int) -> Progress | None:
             return None if report is None else lambda n, _: report(before + n, len(chosen) + len(left_out))
 
         features, truth = data.local_features(chosen), every[chosen]
-        grown = self.map.extended(features, truth.poses_se3, done(0))
+        mapped = self.map.extended(features, truth.poses_se3, done(0))
+        grown = replace(self, map=mapped, frames=np.concatenate((self.frames, numbers)))
+        if not learn_errors:
+            return grown
         groups = np.zeros(len(chosen), dtype=np.int64), data.stretches[chosen]
-        added = _held_out_errors(grown, features, truth, groups, left_out, done(len(chosen)))
+        added = _held_out_errors(mapped, features, truth, groups, left_out, done(len(chosen)))
         held_out = np.concatenate((self.held_out, added))
-        errors = _fit_errors(held_out, grown.depth_m) or self.errors
-        return replace(self, map=grown, frames=np.concatenate((self.frames, numbers)), errors=errors, held_out=held_out)
+        return replace(grown, errors=_fit_errors(held_out, mapped.depth_m) or self.errors, held_out=held_out)
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """At most one estimate per retrieval cluster; none for images without local features."""

@@ -254,10 +254,10 @@ class NeighbourSource:
         least = float(np.quantile(errors.position * novelty**errors.position_growth, 1 - _USUAL))
         return cls(regression.slim(), frames, typical, limit, errors, least)
 
-    def extended(self, data: TrainingData, numbers: IntArray) -> Self:
+    def extended(self, data: TrainingData, numbers: IntArray, *, learn_errors: bool = True) -> Self:
         """With all frames of other data, whose `numbers` (n,) among the known frames are larger than the known ones.
 
-        Projection, settings and errors stay as they were learnt.
+        Projection, settings and errors stay as they were learnt, whatever `learn_errors` is.
         """
         one = self.regression
         references = np.concatenate((one.references, one.projection.apply(data.features)))
