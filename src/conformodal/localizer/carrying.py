@@ -81,7 +81,7 @@ class _Detection:
 
     frame: StreamFrame
     parts: Iterator[LocalFeatures | None]
-    n_done: int = 0
+    n_done: int = 0  # parts; features that were detected before come with the first, and wait as in a run
     features: LocalFeatures | None = None
 
     def advance(self) -> None:
@@ -93,7 +93,6 @@ class _Detection:
         """Do all that is left."""
         *_, features = self.features, *self.parts
         assert features is not None
-        self.features = features
         return features
 
 
@@ -153,10 +152,10 @@ class FeatureStream:
             if followed is not None:
                 break
         else:
-            detection = self._detect(frame, detect)
-            estimates = self._source.localize(detection.finish())
-            self._anchor = self._anchor_at(frame, detection.finish(), estimates)
-            return FrameLook(detection.finish(), [replace(one, view=None) for one in estimates])
+            features = self._detect(frame, detect).finish()
+            estimates = self._source.localize(features)
+            self._anchor = self._anchor_at(frame, features, estimates)
+            return FrameLook(features, [replace(one, view=None) for one in estimates])
         if self._detection is None and not matches and self._is_due(frame):
             self._detection = self._detect(frame, detect)
         if self._detection is not None:

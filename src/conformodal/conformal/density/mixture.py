@@ -295,8 +295,8 @@ def places_on(grid: FloatArray, at: FloatArray) -> FloatArray:
     middle, cells = float(np.median(np.abs(grid))) or 1.0, np.arange(float(grid.size))
     ends = np.arange(_STEPS + 1) / (_STEPS / 2) - 1
     with np.errstate(divide="ignore"):
-        known = np.interp(middle * ends / (1 - np.abs(ends)), grid, cells)
-    width = np.diff(known)
+        starts = np.interp(middle * ends / (1 - np.abs(ends)), grid, cells)
+    width = np.diff(starts)
     if width.max() > _CELLS_PER_STEP:
         return np.asarray(np.interp(at, grid, cells))
     place = at / (middle + np.abs(at))
@@ -305,7 +305,7 @@ def places_on(grid: FloatArray, at: FloatArray) -> FloatArray:
     step = place.astype(np.int32)
     place -= step
     place *= width.take(step, mode="clip")
-    place += known.take(step, mode="clip")
+    place += starts.take(step, mode="clip")
     return place
 
 
