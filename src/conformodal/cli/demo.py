@@ -32,7 +32,7 @@ from .answering import Part, answer_stream, describe_outcome, metrics_of, part_f
 from .console import print_where, progress_bars, report_line
 from .train import train_on
 
-N_MODULES, N_LAPS, SPEED = 3, 4, 2.5
+N_MODULES, N_LAPS, SPEED = 3, 4, 2.0
 WRONG_M = 0.5  # a pose that is further off is wrong: rooms are 4 m apart
 
 
@@ -77,10 +77,11 @@ def demo(
         )
         summary = [
             f"A drone flew {counted(N_LAPS, 'lap')} along a dark hallway of {counted(N_MODULES, 'identical module')}, "
-            f"into every room. {counted(N_LAPS - 1, 'lap')}, {len(model.split.train) + len(model.split.calibration)} "
-            f"frames, trained and calibrated the model; it answered the other, {len(truth)} frames, as a stream. "
-            "Stretches of the laps calibrate, so what is guaranteed is about a random frame of a new stretch of such a "
-            "lap; the coverage of a new lap is an observation.",
+            f"from end to end and into every room. {counted(N_LAPS - 1, 'lap')}, "
+            f"{len(model.split.train) + len(model.split.calibration)} frames, trained and calibrated the model; it "
+            f"answered the other, {len(truth)} frames, as a stream. Stretches of the laps calibrate, so what is "
+            "guaranteed is about a random frame of a new stretch of such a lap; the coverage of a new lap is an "
+            "observation.",
             f"{outcome}.",
             alike,
             *describe_outcome("demo", metrics),

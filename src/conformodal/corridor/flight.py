@@ -30,17 +30,23 @@ Waypoint = tuple[float, float, float]  # x, y, yaw in degrees; yaw 0 looks along
 
 
 def drone_path(
-    world: CorridorWorld, n_laps: int = 2, seed: int | tuple[int, int] = 0, speed: float = 1.0
+    world: CorridorWorld,
+    n_laps: int = 2,
+    seed: int | tuple[int, int] = 0,
+    speed: float = 1.0,
+    *,
+    there_and_back: bool = True,
 ) -> Trajectory:
     """Poses ``T_world_cam`` of an inspection flight, seeded, at 10 frames per second.
 
-    Each of `n_laps` laps goes along the hall and back and into every room, always in the same manner, so that flying
-    does not tell rooms apart that look alike. Gusts move the drone by some centimetres and degrees, fast enough that a
-    frame is no more like its neighbours in time than like those of another visit. The drone moves sideways where it has
-    to: the camera never looks straight at the hall side opposite the rooms. Its cruising speed is 1.5 m/s times
-    `speed`.
+    Each of `n_laps` laps goes along the hall and, if it is `there_and_back`, back, and each time into every room,
+    always in the same manner, so that flying does not tell rooms apart that look alike. Gusts move the drone by some
+    centimetres and degrees, fast enough that a frame is no more like its neighbours in time than like those of another
+    visit. The drone moves sideways where it has to: the camera never looks straight at the hall side opposite the
+    rooms. Its cruising speed is 1.5 m/s times `speed`.
     """
-    return fly([point for _ in range(n_laps) for point in _lap(world)], np.random.default_rng(seed), speed)
+    lap = _lap(world, there_and_back)
+    return fly(lap * n_laps, np.random.default_rng(seed), speed)
 
 
 def fly(waypoints: list[Waypoint], rng: np.random.Generator, speed: float = 1.0) -> Trajectory:
@@ -72,18 +78,19 @@ def rotation_world_cam(yaw: npt.ArrayLike, pitch: npt.ArrayLike = 0.0, roll: npt
     return np.asarray(attitude.as_matrix() @ level)
 
 
-def _lap(world: CorridorWorld) -> list[Waypoint]:
-    """Along the hall and back. The drone turns round only at doors, as on a visit, and backs away from the ends."""
+def _lap(world: CorridorWorld, there_and_back: bool) -> list[Waypoint]:
+    """Along the hall. The drone turns round only at doors, as on a visit, and backs away from the ends."""
     middle, first, last = HALL_WIDTH / 2, DOOR_CENTRE, world.length - MODULE_LENGTH + DOOR_CENTRE
     west, east = 0.8, world.length - 0.8
     path: list[Waypoint] = [(west, middle, 0.0)]
     for k in range(world.n_modules):
         path += _visit(k, 0.0)
-    path += [(east, middle, 0.0), (last, middle, 0.0), (last, middle, 90.0), (last, middle, 180.0)]
-    path += [(east, middle, 180.0)]
-    for k in reversed(range(world.n_modules)):
-        path += _visit(k, 180.0)
-    path += [(west, middle, 180.0), (first, middle, 180.0), (first, middle, 90.0), (first, middle, 0.0)]
+    path += [(east, middle, 0.0)]
+    if there_and_back:
+        path += [(last, middle, 0.0), (last, middle, 90.0), (last, middle, 180.0), (east, middle, 180.0)]
+        for k in reversed(range(world.n_modules)):
+            path += _visit(k, 180.0)
+        path += [(west, middle, 180.0), (first, middle, 180.0), (first, middle, 90.0), (first, middle, 0.0)]
     return path
 
 
@@ -131,11 +138,12 @@ def write_laps(
 ) -> Path:
     """Fly laps through the corridor, each a recording of its own, ``seq-01`` and so on: they are exchangeable.
 
-    The seed is that of world, paths and camera noise. Returns the folder of the recordings.
+    Each goes from end to end, and into every room on the way. The seed is that of world, paths and camera noise.
+    Returns the folder of the recordings.
     """
     world, folder = CorridorWorld(n_modules, seed=seed), Path(folder)
     renderer, done = Renderer(world), 0
-    laps = [drone_path(world, 1, (seed, lap), speed).poses_se3 for lap in range(n_laps)]
+    laps = [drone_path(world, 1, (seed, lap), speed, there_and_back=False).poses_se3 for lap in range(n_laps)]
     total = sum(map(len, laps))
     for lap, poses in enumerate(laps):
         report = None if progress is None else partial(_report, progress, done, total)

@@ -74,7 +74,10 @@ class Renderer:
                 texels.append(image.reshape(-1, 3))
                 n_texels += len(texels[-1])
         self._texels = np.concatenate(texels)
-        self._image_at = np.array([starts[p.material] for p in panels])  # (panels, levels, 3)
+        # (panels * levels,) each
+        self._starts, self._heights, self._widths = (
+            np.array([starts[p.material] for p in panels]).reshape(-1, 3).T.copy()
+        )
 
     def render(self, T_world_cam: FloatArray, noise_seed: int | None = None) -> UInt8Array:
         """One view, (height, width, 3) RGB; `noise_seed` adds camera noise, None leaves the view exact."""
@@ -82,12 +85,12 @@ class Renderer:
         centre = T_world_cam[:3, 3]
         face = self._intersector.intersects_first(np.broadcast_to(centre, rays.shape), rays)
         panel = np.where(face >= 0, face // 2, 0)
-        normal = self._normal[panel]
+        normal, corner = self._normal.take(panel, axis=0), self._corner.take(panel, axis=0)
         along = np.einsum("ij,ij->i", normal, rays)
-        distance = np.einsum("ij,ij->i", normal, self._corner[panel] - centre) / np.where(along == 0, 1e-9, along)
-        hit = centre + distance[:, None] * rays - self._corner[panel]
-        u = np.einsum("ij,ij->i", hit, self._u[panel]) + self._uv[panel, 0]
-        v = np.einsum("ij,ij->i", hit, self._v[panel]) + self._uv[panel, 1]
+        distance = np.einsum("ij,ij->i", normal, corner - centre) / np.where(along == 0, 1e-9, along)
+        hit = centre + distance[:, None] * rays - corner
+        u = np.einsum("ij,ij->i", hit, self._u.take(panel, axis=0)) + self._uv[:, 0].take(panel)
+        v = np.einsum("ij,ij->i", hit, self._v.take(panel, axis=0)) + self._uv[:, 1].take(panel)
         # a pixel covers distance / (f cos) metres of the surface: choose the pyramid level that blurs as much
         footprint = distance * TEXELS_PER_M / self.camera.fx / np.sqrt(np.clip(np.abs(along), 0.1, 1.0))
         level = np.clip(np.round(np.log2(np.maximum(footprint, 1e-6))), 0, N_LEVELS - 1).astype(np.int64)
@@ -103,15 +106,17 @@ class Renderer:
 
     def _sample(self, panel: IntArray, level: IntArray, u: FloatArray, v: FloatArray) -> Float32Array:
         """Bilinear look-up; textures repeat beyond their size."""
-        at, h, w = np.moveaxis(self._image_at[panel, level], -1, 0)
+        image = panel * N_LEVELS + level
+        at, h, w = self._starts.take(image), self._heights.take(image), self._widths.take(image)
         scale = TEXELS_PER_M / (1 << level)
         x, y = u * scale - 0.5, v * scale - 0.5
         x0, y0 = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
         fx, fy = (x - x0).astype(np.float32)[:, None], (y - y0).astype(np.float32)[:, None]
         left, right, low, high = x0 % w, (x0 + 1) % w, at + (y0 % h) * w, at + ((y0 + 1) % h) * w
         texels = self._texels
-        bottom = texels[low + left] * (1 - fx) + texels[low + right] * fx
-        top = texels[high + left] * (1 - fx) + texels[high + right] * fx
+        # take is several times as fast as an index array
+        bottom = texels.take(low + left, axis=0) * (1 - fx) + texels.take(low + right, axis=0) * fx
+        top = texels.take(high + left, axis=0) * (1 - fx) + texels.take(high + right, axis=0) * fx
         return np.asarray(bottom * (1 - fy) + top * fy, dtype=np.float32)
 
 

@@ -41,6 +41,7 @@ _TURNED_MARGIN_PX = 8  # corners of a turned image nearer to its former border a
 _UNIT = 254.0  # length of directions as bytes: their components rarely exceed a half
 # Matches of bits: ratio of the distances to the nearest and the second nearest (Lowe 2004); of directions: cosine
 _RATIO, _MIN_COSINE = 0.85, 0.75
+_BIT_COUNTS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1, dtype=np.uint8)  # of each byte
 # of matches where a pose says that they are: less than a quarter of the bits differ; cosine
 _GUIDED_BITS, _GUIDED_COSINE = 0.5, 0.75
 
@@ -328,7 +329,7 @@ def similar_enough(descriptors: Descriptors, others: Descriptors) -> tuple[Float
     if descriptors.dtype == np.int8:
         alike = np.einsum("ij,ij->i", _numbers(descriptors), _numbers(others)) / np.float32(_greatest(descriptors))
         return alike, alike > _GUIDED_COSINE
-    differing = np.unpackbits(descriptors.view(np.uint8) ^ others.view(np.uint8), axis=1).sum(axis=1, dtype=np.float32)
+    differing = _BIT_COUNTS.take(descriptors.view(np.uint8) ^ others.view(np.uint8)).sum(axis=1, dtype=np.uint16)
     alike = 1 - 2 * differing / np.float32(_greatest(descriptors))
     return alike, alike > _GUIDED_BITS
 

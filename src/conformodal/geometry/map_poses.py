@@ -100,12 +100,13 @@ def _epipolar_errors_px(rig: RigCalibration, matches: Matches, poses_se3: FloatA
     """Signed first-order distances (m,) from the epipolar constraint, in pixels (Sampson)."""
     camera = rig.camera
     poses = poses_se3 @ rig.T_pose_cam
-    (Ri, ci), (Rj, cj) = ((poses[f, :3, :3], poses[f, :3, 3]) for f in matches.frames.T)
+    (Ri, ci), (Rj, cj) = ((poses[:, :3, :3].take(f, axis=0), poses[:, :3, 3].take(f, axis=0)) for f in matches.frames.T)
     plane = camera.on_plane(camera.compensate_rolling_shutter(matches.pixels, matches.flows, rig.shutter))
     rays = np.concatenate((plane, np.ones((*plane.shape[:2], 1))), axis=2)
     baseline = np.einsum("mba,mb->ma", Rj, ci - cj)
-    line_j = np.cross(baseline, np.einsum("mba,mbc,mc->ma", Rj, Ri, rays[:, 0]))
-    line_i = np.einsum("mba,mbc,mc->ma", Ri, Rj, np.cross(rays[:, 1], baseline))
+    # in two steps: the product of three at once takes several times as long
+    line_j = np.cross(baseline, np.einsum("mba,mb->ma", Rj, np.einsum("mbc,mc->mb", Ri, rays[:, 0])))
+    line_i = np.einsum("mba,mb->ma", Ri, np.einsum("mbc,mc->mb", Rj, np.cross(rays[:, 1], baseline)))
     squares = line_j[:, 0] ** 2 + line_j[:, 1] ** 2 + line_i[:, 0] ** 2 + line_i[:, 1] ** 2
     distance = (line_j * rays[:, 1]).sum(axis=1) / np.sqrt(np.maximum(squares, 1e-18))
     return np.asarray(distance * (camera.fx + camera.fy) / 2)
@@ -197,8 +198,9 @@ class MapPoses:
 
 def inlier_rays(rays: Rays, points: Points, tolerance: float) -> InlierRays:
     """The rays within a tolerance (at depth 1) of their corners' points, where three or more frames agree on these."""
-    R = rays.R_world_cam[rays.camera]
-    local = np.einsum("mba,mb->ma", R, np.nan_to_num(points.xyz[rays.corner]) - rays.centres[rays.camera])
+    R = rays.R_world_cam.take(rays.camera, axis=0)
+    off = np.nan_to_num(points.xyz).take(rays.corner, axis=0) - rays.centres.take(rays.camera, axis=0)
+    local = np.einsum("mba,mb->ma", R, off)
     ahead = local[:, 2] > 0
     plane = local[:, :2] / np.where(ahead, local[:, 2], 1.0)[:, None]
     near = np.linalg.norm(plane - rays.plane, axis=1) < tolerance
@@ -216,17 +218,19 @@ def choose_tracks(chunks: Sequence[InlierRays], n_frames: int) -> Tracks:
     corner, number, frame, plane, points = map(np.concatenate, zip(*chunks, strict=True))
     starts = np.flatnonzero(np.diff(corner, prepend=-1))
     counts = np.diff(np.append(starts, len(corner)))
-    used = np.zeros(int(max(number.max(initial=0), corner.max(initial=0))) + 1, dtype=bool)
-    tracks_per_frame = np.zeros(n_frames, int)
-    rows: list[IntArray] = []
     order = np.argsort(-counts, kind="stable")
+    # lists, since tracks are short: an operation on a few numbers takes an array longer
+    corners, numbers, frames = corner.tolist(), number.tolist(), frame.tolist()
+    used = bytearray(int(max(number.max(initial=0), corner.max(initial=0))) + 1)
+    tracks_per_frame, rows = [0] * n_frames, list[list[int]]()
     for start, end in zip(starts[order].tolist(), (starts + counts)[order].tolist(), strict=True):
-        if used[corner[start]]:
+        if used[corners[start]]:
             continue
-        unused = np.arange(start, end)[~used[number[start:end]]]
-        if len(unused) >= _MIN_VIEWS and tracks_per_frame[frame[unused]].min() < _TRACKS:
-            used[number[unused]] = True
-            tracks_per_frame[frame[unused]] += 1
+        unused = [k for k in range(start, end) if not used[numbers[k]]]
+        if len(unused) >= _MIN_VIEWS and min(tracks_per_frame[frames[k]] for k in unused) < _TRACKS:
+            for k in unused:
+                used[numbers[k]] = True
+                tracks_per_frame[frames[k]] += 1
             rows.append(unused)
     if not rows:
         return Tracks(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)))

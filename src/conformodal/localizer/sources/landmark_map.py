@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from conformodal.core.progress import Progress
 from conformodal.features.local import Descriptors, LocalFeatures, Matcher, match, similar_enough
-from conformodal.geometry import PinholeCamera, cross_matrices, rigid_motions
+from conformodal.geometry import PinholeCamera, rigid_motions
 from conformodal.geometry.adjustment import MAD_OF_NORMAL, MEDIAN_OF_NORM2
 from conformodal.geometry.map_poses import RigCalibration
 from conformodal.geometry.triangulation import local_origin
@@ -155,6 +155,15 @@ class LandmarkMap:
         return keyframes
 
     @cached_property
+    def _centres(self) -> FloatArray:
+        return self.poses_se3[:, :3, 3].copy()
+
+    @cached_property
+    def _forward(self) -> FloatArray:
+        """(n, 3) where the keyframes look."""
+        return self.poses_se3[:, :3, 2].copy()
+
+    @cached_property
     def _descriptors(self) -> Float32Array:
         return self.global_descriptors.astype(np.float32)  # products of halves are slow
 
@@ -237,7 +246,7 @@ class LandmarkMap:
         while order.size and len(clusters) < _CLUSTERS:
             if clusters and 1 - alike[order[0]] > _MAX_DISTANCE_RATIO * (1 - alike[clusters[0][0]]):
                 break
-            apart = np.linalg.norm(self.poses_se3[order, :3, 3] - self.poses_se3[order[0], :3, 3], axis=1)
+            apart = np.linalg.norm(self._centres[order] - self._centres[order[0]], axis=1)
             here = apart < _RADIUS * self.depth_m
             clusters.append(self._spread(order[here], _OTHERS if clusters else _FIRST))
             order = order[~here]
@@ -253,9 +262,9 @@ class LandmarkMap:
 
     def _apart(self, T_world_pose: FloatArray, frames: IntArray | slice = slice(None)) -> FloatArray:
         """Distances of keyframes from a pose, in scene depths plus radians."""
-        poses = self.poses_se3[frames]
-        apart = np.linalg.norm(poses[:, :3, 3] - T_world_pose[:3, 3], axis=1) / self.depth_m
-        return np.asarray(apart + np.arccos(np.clip(poses[:, :3, 2] @ T_world_pose[:3, 2], -1, 1)))
+        off = self._centres[frames] - T_world_pose[:3, 3]
+        apart = np.sqrt(np.einsum("ij,ij->i", off, off)) / self.depth_m
+        return np.asarray(apart + np.arccos(np.clip(self._forward[frames] @ T_world_pose[:3, 2], -1, 1)))
 
     def _solve(self, image: LocalFeatures, pairs: IntArray, shown: BoolArray, samples: int) -> _Solution | None:
         """The pose of an image from matches (m, 2) of corners and landmarks, some of them right."""
@@ -336,7 +345,9 @@ class LandmarkMap:
         """Share of the image over which pixels (m, 2) are spread: 1 if evenly over all of it."""
         if len(pixels) < 3:
             return 0.0
-        area = 12 * np.sqrt(max(float(np.linalg.det(np.cov(pixels.T))), 0.0))
+        x, y = (pixels - pixels.mean(axis=0)).T
+        determinant = float((x @ x) * (y @ y) - (x @ y) ** 2) / (len(pixels) - 1) ** 2  # of the covariance
+        area = 12 * np.sqrt(max(determinant, 0.0))
         return float(area / (self.camera.width * self.camera.height))
 
     def _correction(self, T_world_pose: FloatArray, shown: BoolArray) -> tuple[FloatArray, FloatArray, float]:
@@ -348,8 +359,9 @@ class LandmarkMap:
             return np.zeros(6), np.zeros(2), away
         nearest = corrected[np.argsort(apart[corrected], kind="stable")[:_CORRECTED_BY]]
         corrections, weights = self.corrections[nearest], 1 / (apart[nearest] + _MIN_DISTANCE)
-        mean = np.average(corrections, axis=0, weights=weights)
-        variance = np.average((corrections - mean) ** 2, axis=0, weights=weights)
+        weights /= weights.sum()
+        mean = weights @ corrections
+        variance = weights @ (corrections - mean) ** 2
         return mean, np.sqrt([variance[:3].mean(), variance[3:].mean()]), away
 
     def _spreads(
@@ -364,11 +376,15 @@ class LandmarkMap:
         off = np.linalg.norm(plane - self.camera.on_plane(pixels), axis=1)
         least = 2 * _MIN_RESIDUAL_PX / (self.camera.fx + self.camera.fy)
         residual = max(float(np.median(off)) / MEDIAN_OF_NORM2, least)
-        by_point = np.zeros((len(points), 2, 3))
-        by_point[:, 0, 0] = by_point[:, 1, 1] = 1 / depth
-        by_point[:, :, 2] = -plane / depth[:, None]
-        slopes = np.concatenate((-by_point, by_point @ cross_matrices(local)), axis=2).reshape(-1, 6)
-        information = slopes.T @ slopes / residual**2
+        # derivatives of points on the plane by the camera's motion, along and about its axes
+        (x, y), inverse = plane.T, 1 / depth
+        slopes = np.zeros((2, len(points), 6))
+        slopes[0, :, 0] = slopes[1, :, 1] = -inverse
+        slopes[0, :, 2], slopes[1, :, 2] = x * inverse, y * inverse
+        slopes[0, :, 3], slopes[0, :, 4], slopes[0, :, 5] = x * y, -1 - x * x, y
+        slopes[1, :, 3], slopes[1, :, 4], slopes[1, :, 5] = 1 + y * y, -x * y, -x
+        by_motion = slopes.reshape(-1, 6)
+        information = by_motion.T @ by_motion / residual**2
         if np.linalg.cond(information) > 1e12:
             return None
         variance = np.diag(np.linalg.inv(information))
@@ -376,9 +392,9 @@ class LandmarkMap:
 
 
 def _most_similar(groups: IntArray, alike: Float32Array) -> IntArray:
-    """Indices of the most similar (n,) of each group (n,)."""
+    """Indices of the most similar (n,) of each group (n,), numbered from 0."""
     order = np.lexsort((-alike, groups))
-    return order[np.unique(groups[order], return_index=True)[1]]
+    return order[np.flatnonzero(np.diff(groups[order], prepend=-1))]
 
 
 def _camera_to_world(pose: poselib.CameraPose) -> FloatArray:
