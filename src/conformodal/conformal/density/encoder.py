@@ -85,9 +85,13 @@ def _without_zone(value: date) -> date:
 def dates_of_text(column: Any) -> AnyArray | None:
     """Times (n,) in UTC of a column of ISO 8601 text with year, month and day; None if it holds anything else."""
     known: dict[Any, Any] = {}
-    if first_other_than_dates(column, known) is not None or not known:
+    codes, distinct = None, column
+    if str(getattr(column, "dtype", "")).startswith("str") and hasattr(column, "factorize"):  # of pandas: each text once
+        codes, distinct = column.factorize()
+    if first_other_than_dates(distinct, known) is not None or not known:
         return None
-    return np.array([known.get(value) for value in np.asarray(column, dtype=object)], dtype="M8[us]")
+    times = np.array([known.get(value) for value in np.asarray(distinct, dtype=object)], dtype="M8[us]")
+    return times if codes is None else np.append(times, np.datetime64("NaT"))[codes]  # -1: missing
 
 
 def first_other_than_dates(column: Any, known: dict[Any, Any] | None = None) -> int | None:
