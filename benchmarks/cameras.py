@@ -1,6 +1,6 @@
-"""Cameras: errors and regions, what each part contributes, disturbed images, and coverage where regions are large.
+"""Cameras: errors and regions, disturbed images, and coverage where regions are large; or what each part contributes.
 
-python benchmarks/cameras.py [--seeds 40 41 42] [--worlds ...] [--workers 2]
+python benchmarks/cameras.py [--seeds 40 41 42] [--worlds ...] [--workers 2] [--parts]
 """
 
 from __future__ import annotations
@@ -100,27 +100,47 @@ def conditional_cells(runs: list[Frames]) -> list[str]:
     return [str(int(bounded.sum())), *quarters, "" if risk is None else f"{risk:.4f}"]
 
 
-def main() -> None:
-    parser = parser_with_seeds(__doc__)
-    parser.add_argument("--worlds", nargs="+", default=list(WORLDS), choices=WORLDS)
-    parser.add_argument("--workers", type=int, default=2)
-    options = parser.parse_args()
-    keys = [(world, seed, "ours") for seed in options.seeds for world in options.worlds]
-    keys += [(w, options.seeds[0], v) for w in ABLATED if w in options.worlds for v in VARIANTS if v != "ours"]
-    results = dict(zip(keys, Parallel(options.workers, batch_size=1)(delayed(unit)(*key) for key in keys), strict=True))
-    ours = {world: [results[world, seed, "ours"] for seed in options.seeds] for world in options.worlds}
-    frames = {world: [one["frames"] for one in each] for world, each in ours.items()}
-    errors = [[w, name, *cells(runs, name, COLUMNS)] for w, runs in frames.items() for name in runs[0]]
-    worlds = [world for world in ABLATED if world in options.worlds]
+def measured_units(keys: list[tuple[str, int, str]], workers: int) -> dict[tuple[str, int, str], dict[str, Any]]:
+    """The numbers of worlds, seeds and variants."""
+    return dict(zip(keys, Parallel(workers, batch_size=1)(delayed(unit)(*key) for key in keys), strict=True))
+
+
+def write_parts(worlds: list[str], seed: int, workers: int) -> None:
+    """The page of what each part contributes."""
+    results = measured_units([(world, seed, variant) for world in worlds for variant in VARIANTS], workers)
     parts = []
     for variant in VARIANTS:
         row = [variant]
         for world in worlds:
-            one = results[world, options.seeds[0], variant]["frames"]
+            one = results[world, seed, variant]["frames"]
             alone = summary(one["image alone"])
             row.append(f"{summary(one['online'])['rmse_m']:.4f}, {alone['coverage']:.3f}, {alone['length_m']:.3f}")
         parts.append(row)
-    parts += [[part, *(f"{ours[world][0][part]:.4f}" for world in worlds)] for part in OTHERS]
+    parts += [[part, *(f"{results[world, seed, 'ours'][part]:.4f}" for world in worlds)] for part in OTHERS]
+    write_page(
+        "camera_parts",
+        "Cameras without a part",
+        shlex.join(["python", *sys.argv]),
+        f"Seed {seed}: position RMSE online in metres, coverage at alpha = {ALPHA} and median length of the image's "
+        "regions. The path without motion or without the filter is that of the same model.",
+        table_lines(["system", *worlds], parts),
+    )
+
+
+def main() -> None:
+    parser = parser_with_seeds(__doc__)
+    parser.add_argument("--worlds", nargs="+", default=list(WORLDS), choices=WORLDS)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--parts", action="store_true", help="the systems without a part, with the first seed")
+    options = parser.parse_args()
+    if options.parts:
+        write_parts([world for world in ABLATED if world in options.worlds], options.seeds[0], options.workers)
+        return
+    keys = [(world, seed, "ours") for seed in options.seeds for world in options.worlds]
+    results = measured_units(keys, options.workers)
+    ours = {world: [results[world, seed, "ours"] for seed in options.seeds] for world in options.worlds}
+    frames = {world: [one["frames"] for one in each] for world, each in ours.items()}
+    errors = [[w, name, *cells(runs, name, COLUMNS)] for w, runs in frames.items() for name in runs[0]]
     shown = {key: COLUMNS[key] for key in ("coverage", "bounded", "of bounded", "length_m")}
     disturbed = [
         [world, name, *cells([one[name] for one in ours[world]], "image alone", shown)]
@@ -130,7 +150,7 @@ def main() -> None:
     ]
     write_page(
         "cameras",
-        "Cameras: errors, regions and parts",
+        "Cameras: errors and regions",
         shlex.join(["python", *sys.argv]),
         "## Errors and regions",
         f"Mean over seeds {options.seeds} and 95 % interval. Landmarks are XFeat's, ORB's in the corridor. Far: over "
@@ -141,9 +161,6 @@ def main() -> None:
         "the corridor and fr1, fr1_rpy among them, with seeds 0 to 2 and 10 to 29; icl_living_room chose nothing. By "
         "SfM: the same images with poses from structure from motion.",
         table_lines(["world", "from", *COLUMNS], errors),
-        "## Without a part",
-        f"Seed {options.seeds[0]}: position RMSE online in metres, coverage and median length of the image's regions.",
-        table_lines(["system", *worlds], parts),
         "## Disturbed images",
         "All images disturbed at random (light, blur, noise, covered parts); regions of the image alone.",
         table_lines(["world", "images", *shown], disturbed),
