@@ -86,7 +86,7 @@ def dates_of_text(column: Any) -> AnyArray | None:
     """Times (n,) in UTC of a column of ISO 8601 text with year, month and day; None if it holds anything else."""
     known: dict[Any, Any] = {}
     codes, distinct = None, column
-    if str(getattr(column, "dtype", "")).startswith("str") and hasattr(column, "factorize"):  # of pandas: each text once
+    if str(getattr(column, "dtype", "")).startswith("str") and hasattr(column, "factorize"):  # pandas
         codes, distinct = column.factorize()
     if first_other_than_dates(distinct, known) is not None or not known:
         return None
