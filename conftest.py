@@ -96,11 +96,13 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> MadeOnce:
 
 @pytest.fixture(scope="session")
 def small_corridor(made_once: MadeOnce) -> Path:
-    """A corridor of three modules flown once."""
-    from conformodal.corridor import write_corridor
+    """A corridor of three modules flown once, in 344 frames."""
+    from conformodal.corridor import CorridorWorld, Renderer, drone_path, write_flight
 
     def fly(folder: Path) -> None:
-        write_corridor(folder / "corridor", n_modules=3, n_laps=1, seed=3)
+        world = CorridorWorld(3, seed=3)
+        poses = drone_path(world, 1, seed=3, speed=2.0).poses_se3
+        write_flight(folder / "corridor" / "seq-01", Renderer(world), poses, noise_seed=3_000_009)
 
     return made_once("flown", fly) / "corridor"
 
