@@ -19,9 +19,9 @@ demo: $(READY)
 test: $(DEV)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
-# trainings and whole commands; tests of one file share what they made
+# trainings and whole commands; tests of one file share what they made, and conftest.py puts the longest files first
 test-slow: $(DEV)
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m slow
 
 # all tests, with the lines that none reaches; measuring them takes the tests much longer
 coverage: $(DEV)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import pytest
+from filelock import FileLock
 from hypothesis import settings
 
 # The same examples every time, so that main does not depend on luck; HYPOTHESIS_PROFILE=default searches anew.
@@ -24,9 +27,14 @@ def pytest_collection_finish() -> None:  # not before coverage has begun
         limit_threads(max(1, (os.cpu_count() or 1) // n_workers))
 
 
+# files that take longest: begun first, so that at the end no process waits for another
+LONGEST = ("test_acceptance.py", "test_table1.py", "test_extend.py", "test_map.py", "test_streaming.py", "test_cli.py")
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What needs the small model waits for its training."""
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
     for item in items:
         if "small_world" in getattr(item, "fixturenames", ()):
             item.add_marker("slow")
@@ -54,6 +62,9 @@ def redkitchen(real_data: Callable[..., Path]) -> Path:
     return real_data("7scenes", "redkitchen", "seq-01")
 
 
+MadeOnce: TypeAlias = Callable[[str, Callable[[Path], object]], Path]
+
+
 @dataclass(frozen=True)
 class SmallWorld:
     folder: Path
@@ -62,26 +73,53 @@ class SmallWorld:
 
 
 @pytest.fixture(scope="session")
-def small_corridor(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A corridor of three modules flown once."""
-    from conformodal.corridor import write_corridor
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> MadeOnce:
+    """Gives a folder that all processes which test at the same time share; the first that needs it fills it.
 
-    folder = tmp_path_factory.mktemp("small") / "corridor"
-    write_corridor(folder, n_modules=3, n_laps=1, seed=3)
-    return folder
+    The others wait. Where the first fails, or is killed, the next one begins anew.
+    """
+    own = tmp_path_factory.getbasetemp()
+    root = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+    def folder_of(name: str, make: Callable[[Path], object]) -> Path:
+        folder, done = root / name, root / f"{name}.done"
+        with FileLock(root / f"{name}.lock"):
+            if not done.exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+                make(folder)
+                done.touch()
+        return folder
+
+    return folder_of
 
 
 @pytest.fixture(scope="session")
-def small_world(small_corridor: Path) -> SmallWorld:
+def small_corridor(made_once: MadeOnce) -> Path:
+    """A corridor of three modules flown once, in 344 frames."""
+    from conformodal.corridor import CorridorWorld, Renderer, drone_path, write_flight
+
+    def fly(folder: Path) -> None:
+        world = CorridorWorld(3, seed=3)
+        poses = drone_path(world, 1, seed=3, speed=2.0).poses_se3
+        write_flight(folder / "corridor" / "seq-01", Renderer(world), poses, noise_seed=3_000_009)
+
+    return made_once("flown", fly) / "corridor"
+
+
+@pytest.fixture(scope="session")
+def small_world(small_corridor: Path, made_once: MadeOnce) -> SmallWorld:
     """The small corridor and a model trained on it through the command line."""
-    from typer.testing import CliRunner
 
-    from conformodal.cli.main import app
+    def train(folder: Path) -> None:
+        from typer.testing import CliRunner
 
-    root = small_corridor.parent
-    arguments = ["train", small_corridor, "--out", root / "model", "--cache", root / "cache"]
-    result = CliRunner().invoke(
-        app, [str(a) for a in arguments] + ["--split", "interleaved", "--epochs", "25", "--alpha", "0.2"]
-    )
-    assert result.exit_code == 0, result.output
+        from conformodal.cli.main import app
+
+        arguments = ["train", small_corridor, "--out", folder / "model", "--cache", folder / "cache"]
+        arguments += ["--split", "interleaved", "--epochs", "25", "--alpha", "0.2"]
+        result = CliRunner().invoke(app, [str(a) for a in arguments])
+        assert result.exit_code == 0, result.output
+
+    root = made_once("trained", train)
     return SmallWorld(small_corridor, root / "cache", root / "model")

@@ -1,5 +1,7 @@
 import shutil
+from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from conformodal.io import read_recording
@@ -20,6 +22,19 @@ def two_recordings(small_corridor, tmp_path):
     for name in ("camera-intrinsics.txt", "frame-rate.txt"):
         shutil.copy(small_corridor / name, tmp_path / name)
     return read_recording(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def short_fits() -> Iterator[None]:
+    """Densities with names learn in a tenth of the time, and less well: for tests of what goes in and comes out."""
+    from conformodal.conformal.density import named
+
+    boosting = named.boosting
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(named, "boosting", lambda rate, rounds, *rest: boosting(0.5, 5, *rest))
+        patch.setattr(named, "_TREES_AND_FOLDS", ((np.inf, 10, 3),))
+        patch.setattr(named, "smooth_member", lambda *_: None)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -2,8 +2,12 @@
 
 import json
 
+import numpy as np
 import pytest
 
+from conformodal.cli import demo
+from conformodal.io import read_recording
+from conformodal.io.pose_files import read_tum
 from tests.helpers import run_ok
 
 pytestmark = pytest.mark.slow
@@ -33,7 +37,16 @@ def test_demo(tmp_path):
     assert metrics["n_reliable_wrong"] == 0
     [first] = [line for line in found.output.splitlines() if line.startswith("reliable: ")]
     assert first == f"reliable: {paths['n_reliable']} of {n} poses are reliable; 0 of these are over 0.5 m off"
-    assert "of the same view; the regions hold" in (tmp_path / "report.html").read_text()
+    assert found.output.splitlines()[-1] == f"results: {tmp_path.resolve()}"
+    assert metrics["command"] == "demo"
+    assert set(errors) == {"online", "smoothed", "hindsight", "classical"}
+    assert set(paths) >= {"online", "hindsight"}
+    assert len(read_tum(tmp_path / "trajectory.tum")) == len(read_tum(tmp_path / "methods" / "classical.tum")) == n
+    laps = read_recording(tmp_path / "corridor" / "laps-seed-1").recording
+    assert np.bincount(laps).tolist() == [n] * demo.N_LAPS
+    page = (tmp_path / "report.html").read_text()
+    assert "of the same view; the regions hold" in page
+    assert "classical regressor" in page
 
 
 def test_redkitchen_interleaved(redkitchen, tmp_path):

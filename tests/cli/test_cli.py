@@ -164,7 +164,7 @@ def test_test_frames_with_a_known_picture_are_counted(small_world, tmp_path):
     for before, path in zip(pictures[::4], pictures[2::4], strict=False):  # every fourth frame shows an earlier picture
         shutil.copy(before, path)
     out = tmp_path / "model"
-    arguments = ["train", folder, "--out", out, "--cache", tmp_path / "cache", "--epochs", "2", "--sources", "head"]
+    arguments = ["train", folder, "--out", out, "--cache", small_world.cache, "--epochs", "2", "--sources", "head"]
     result = run_ok(*arguments, "--split", "interleaved")
     metrics, model = json.loads((out / "metrics.json").read_text()), load_model(out)
     content = [path.read_bytes() for path in read_recording(folder).image_paths]
@@ -194,22 +194,23 @@ def test_a_check_with_a_model_looks_at_frames_that_no_source_has_seen(small_worl
 
 
 @pytest.mark.slow
-def test_recordings_are_given_as_several_arguments(two_recordings, tmp_path):
-    """Two recordings train, a third tests; a run answers two, each as a recording of its own."""
-    parts = []
-    for name, folder in (("one", "seq-01"), ("two", "seq-02")):
-        shutil.copytree(two_recordings.image_paths[0].parents[1] / folder, tmp_path / name / "seq-01")
-        for file in ("camera-intrinsics.txt", "frame-rate.txt"):
-            shutil.copy(two_recordings.image_paths[0].parents[1] / file, tmp_path / name / file)
-        parts.append(tmp_path / name)
-    model, options = tmp_path / "model", ["--cache", tmp_path / "cache", "--epochs", "2", "--sources", "head"]
+def test_recordings_are_given_as_several_arguments(small_world, tmp_path):
+    """One recording trains, another tests; a run answers two, each as a recording of its own."""
+    parts = [tmp_path / "one", tmp_path / "two"]
+    for part, kept in zip(parts, ("0000[0-5]*", "0001[01]*"), strict=True):  # 60 frames, and 20
+        (part / "seq-01").mkdir(parents=True)
+        for file in (small_world.folder / "seq-01").glob(f"frame-{kept}"):
+            shutil.copy(file, part / "seq-01")
+        for name in ("camera-intrinsics.txt", "frame-rate.txt"):
+            shutil.copy(small_world.folder / name, part)
+    model, options = tmp_path / "model", ["--cache", small_world.cache, "--epochs", "2", "--sources", "head"]
     run_ok("train", parts[0], "--out", model, "--test", parts[1], *options)
-    found, n = load_model(model), len(read_recording(parts[0]))
-    np.testing.assert_array_equal(found.split.test, np.arange(n, 2 * n))
+    found = load_model(model)
+    np.testing.assert_array_equal(found.split.test, np.arange(60, 80))
     assert found.split.kind == "given"
     run_ok("run", model, *parts, "--out", tmp_path / "out")
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
-    assert metrics["n_answered"] == 2 * n
+    assert metrics["n_answered"] == 80
     assert "errors" in metrics
     refused = invoke("train", *parts, "--out", tmp_path / "other", "--test", parts[1])
     assert refused.exit_code

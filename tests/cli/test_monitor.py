@@ -14,6 +14,8 @@ from conformodal.pipeline.store import model_digest, save_model
 from tests.helpers import invoke, refusal, run_ok
 from tests.small_model import small_model
 
+pytestmark = pytest.mark.usefixtures("short_fits")
+
 
 def table(n, seed, shift=0.0, subjects=0):
     rng = np.random.default_rng(seed)
@@ -25,7 +27,7 @@ def table(n, seed, shift=0.0, subjects=0):
 
 
 @pytest.fixture(scope="module")
-def fitted(tmp_path_factory):
+def fitted(short_fits, tmp_path_factory):
     """A saved regressor of y on x."""
     folder = tmp_path_factory.mktemp("fitted")
     path, frame = folder / "model.skops", table(600, 20)
@@ -169,7 +171,6 @@ def rows_in(unit, n=400, seed=30):
     return "weight,price\n" + "".join(f"{w} {unit},{p}\n" for w, p in cells)
 
 
-@pytest.mark.slow
 def test_rows_are_read_as_the_regressor_expects_them(tmp_path):
     model, file = with_model_of(tmp_path, rows_in("kg")), tmp_path / "new.csv"
     file.write_text(rows_in("g", 30, 31))
@@ -180,7 +181,6 @@ def test_rows_are_read_as_the_regressor_expects_them(tmp_path):
     assert json.loads(run_ok("monitor", model, file, "--json").stdout)["n_new"] == 30
 
 
-@pytest.mark.slow
 def test_rows_are_read_as_they_are_named(tmp_path):
     rng = np.random.default_rng(5)
     days = pd.to_datetime("2024-01-01") + pd.to_timedelta(rng.integers(0, 300, 460), "D")
@@ -202,7 +202,6 @@ def test_rows_are_read_as_they_are_named(tmp_path):
     assert "--decimal, --date: for tables" in refusal("monitor", tmp_path, file, *named[2:4], *named[-2:])
 
 
-@pytest.mark.slow
 def test_rows_of_totals_are_left_out(tmp_path):
     rng = np.random.default_rng(3)
     named = [f"shop {i},{x:.3f},{10 * x + rng.normal():.2f}\n" for i, x in enumerate(rng.uniform(1, 9, 460))]

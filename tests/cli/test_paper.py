@@ -4,11 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from conformodal.cli import demo
-from conformodal.cli.main import app
-from conformodal.io import read_recording
 from conformodal.io.pose_files import read_tum
 from conformodal.pipeline.results import read_region_records, read_trajectories
 from tests.helpers import run_ok
@@ -41,30 +37,3 @@ def test_a_run_answers_with_greedy_and_nothing_of_ours(trained, small_world):
     checked = run_ok("evaluate", out, "--truth", out / "truth.tum")
     assert "greedy" in checked.output
     assert "smoothed" not in checked.output
-
-
-@pytest.fixture
-def out(small_world, tmp_path, monkeypatch):
-    folder = tmp_path / "out"
-    folder.mkdir()
-    (folder / "cache").symlink_to(small_world.cache)
-    monkeypatch.setattr(demo, "N_LAPS", 3)
-    return folder
-
-
-@pytest.mark.slow
-def test_the_demo_compares_with_a_regressor(out):
-    result = CliRunner().invoke(app, ["demo", "--out", str(out), "--seed", "3"])
-    assert result.exit_code == 0, result.output
-    assert result.output.splitlines()[-1] == f"results: {out.resolve()}"
-    assert " poses are reliable; 0 of these are over 0.5 m off" in result.output
-    metrics = json.loads((out / "metrics.json").read_text())
-    assert metrics["command"] == "demo"
-    assert set(metrics["errors"]) == {"online", "smoothed", "hindsight", "classical"}
-    assert metrics["ambiguity"]["n_places"] > 0
-    answer = read_tum(out / "trajectory.tum")
-    assert len(answer) == len(read_tum(out / "methods" / "classical.tum")) == metrics["n_answered"]
-    laps = read_recording(out / "corridor" / "laps-seed-3").recording
-    assert np.bincount(laps).tolist() == [metrics["n_answered"]] * demo.N_LAPS
-    assert set(metrics["path_coverage"]) >= {"online", "hindsight"}
-    assert "classical regressor" in (out / "report.html").read_text()

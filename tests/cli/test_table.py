@@ -12,10 +12,10 @@ from conformodal.cli import table_predict
 from conformodal.cli.table import choose_columns, doubt_targets
 from conformodal.cli.table_csv import CsvFormat, TableError, read_table
 from conformodal.conformal import ConformalRegressor
-from conformodal.conformal.density import named
-from conformodal.conformal.density.named import boosting
 from conformodal.conformal.tables import as_inputs
 from tests.helpers import invoke, refusal, run_ok
+
+pytestmark = pytest.mark.usefixtures("short_fits")
 
 
 def written(folder, text, encoding="utf-8"):
@@ -250,14 +250,9 @@ def test_a_missing_extra_is_named_before_the_file_is_read(tmp_path, monkeypatch,
     assert package in told
 
 
-def shorten_fits(monkeypatch):
-    monkeypatch.setattr(named, "boosting", lambda rate, rounds, *rest: boosting(rate, 3, *rest))
-
-
-def test_the_command_prints_what_it_used_and_the_coverage_of_each_group(tmp_path, monkeypatch):
+def test_the_command_prints_what_it_used_and_the_coverage_of_each_group(tmp_path):
     pytest.importorskip("matplotlib")
     pytest.importorskip("skops")
-    shorten_fits(monkeypatch)
     X = frame(150)
     X["age"] = X["dose"].fillna(0) + 0.1 * X["age"]
     X.to_csv(tmp_path / "own.csv", sep=";", decimal=",", index=False, encoding="utf-8-sig")
@@ -294,7 +289,6 @@ def test_a_target_that_is_never_negative_whole_or_a_sum_is_told():
 def test_a_saved_model_predicts_new_rows_by_the_names_of_their_columns(tmp_path, monkeypatch, kind):
     pytest.importorskip("skops")
     parquet = pytest.importorskip("pyarrow.parquet")
-    shorten_fits(monkeypatch)
     monkeypatch.setattr(table_predict, "_ROWS", 4)  # at once
     table = rentals().drop(columns=["casual", "registered"])
     dated = table.assign(when=pd.to_datetime(table["when"], format="%d/%m/%Y %H:%M"))
@@ -335,10 +329,9 @@ def test_a_saved_model_predicts_new_rows_by_the_names_of_their_columns(tmp_path,
     assert json.loads(text["count_intervals"][0])[0]["low"] == result["count_low"][0] >= 0
 
 
-def test_new_rows_that_lack_a_column_or_hold_another_kind_are_refused(tmp_path, monkeypatch):
+def test_new_rows_that_lack_a_column_or_hold_another_kind_are_refused(tmp_path):
     pytest.importorskip("skops")
     pytest.importorskip("pyarrow")
-    shorten_fits(monkeypatch)
     table = rentals()
     table.to_csv(tmp_path / "old.csv", index=False)
     run_ok("table", tmp_path / "old.csv", "--target", "count", "--exclude", "casual,id", "--model", tmp_path / "reg.cm")
@@ -458,10 +451,9 @@ def test_words_for_missing_values_are_labels_where_all_cells_are_text(tmp_path, 
     assert again["x"].tolist() == ["0", "1", "2"]
 
 
-def test_identifiers_are_copied_as_they_are_written(tmp_path, monkeypatch):
+def test_identifiers_are_copied_as_they_are_written(tmp_path):
     pytest.importorskip("skops")
     parquet = pytest.importorskip("pyarrow.parquet")
-    shorten_fits(monkeypatch)
     rng = np.random.default_rng(0)
     ids = {"code": [f"{k:05d}" for k in range(60)], "order": [str(2**53 + k) for k in range(60)]}
     table = pd.DataFrame(ids | {"x": rng.normal(size=60).round(3)}).assign(y=lambda t: 2 * t["x"])

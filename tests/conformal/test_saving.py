@@ -17,6 +17,7 @@ from sklearn.preprocessing import OneHotEncoder
 
 from conformodal.conformal import ConformalRegressor, ConformodalError, StackedDensity, saving
 
+pytestmark = pytest.mark.usefixtures("short_fits")
 skops = pytest.importorskip("skops.io")
 RNG = np.random.default_rng(0)
 X = pd.DataFrame({"a": RNG.uniform(size=200), "site": RNG.choice(["north", "south"], 200)})

@@ -22,6 +22,7 @@ from sklearn.utils import get_tags
 from conformodal.conformal import ConformalRegressor, ConformodalError, DataWarning, MondrianConformal
 from conformodal.conformal.density.encoder import TableEncoder, as_column
 
+pytestmark = pytest.mark.usefixtures("short_fits")
 N = 240
 
 
@@ -247,7 +248,7 @@ def test_few_rows_are_rarely_unbounded_and_never_without_a_warning():
 
 
 @pytest.fixture(scope="module")
-def mixed():
+def mixed(short_fits):
     """A fitted regressor, 100 more rows and their values."""
     rng = np.random.default_rng(0)
     time = pd.date_range("2024-01-01", periods=400, freq="h", tz="Europe/Berlin")[rng.permutation(400)]
@@ -305,18 +306,23 @@ def test_rows_without_a_group_are_counted_and_answered():
     np.testing.assert_array_equal(table.filter(like="_low").to_numpy()[:, 0], regions.hull[:, 0, 0])
 
 
-@pytest.mark.parametrize("form", ["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S", "%Y%m%dT%H%M%S", "%Y-%m-%d %H:%M+00:00"])
-def test_text_of_iso_dates_is_dates_and_it_is_said(form):
-    polars = pytest.importorskip("polars")
+@pytest.fixture(scope="module")
+def dated(short_fits):
+    """A table with dates, values, and the ends of their regions."""
     rng, days = np.random.default_rng(0), pd.date_range("2024-01-01", periods=366)
     when = days[rng.integers(366, size=300)]
-    y = when.dayofyear + rng.normal(size=300)
-    dated, text = pd.DataFrame({"when": when}), pd.DataFrame({"when": when.strftime(form)})
-    text.loc[7, "when"] = dated.loc[7, "when"] = None
-    fresh = ConformalRegressor(random_state=0)
+    X, y = pd.DataFrame({"when": when}), when.day_of_year + rng.normal(size=300)
+    X.loc[7, "when"] = None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataWarning)
-        expected = fresh.fit(dated, y).predict_region(dated).hull
+        return X, y, ConformalRegressor(random_state=0).fit(X, y).predict_region(X).hull
+
+
+@pytest.mark.parametrize("form", ["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S", "%Y%m%dT%H%M%S", "%Y-%m-%d %H:%M+00:00"])
+def test_text_of_iso_dates_is_dates_and_it_is_said(dated, form):
+    polars = pytest.importorskip("polars")
+    dates, y, expected = dated
+    text = pd.DataFrame({"when": dates.when.dt.strftime(form)})
     for X in (text, polars.from_pandas(text)):
         with pytest.warns(DataWarning, match=f"when is read as dates, from text such as '{re.escape(text.when[0])}'"):
             reg = ConformalRegressor(random_state=0).fit(X, y)

@@ -43,7 +43,7 @@ def test_test_frames_are_known(model, features):
     for u in (0.05, 0.1, 0.2, 0.5):
         assert (p <= u).sum() <= stats.binom.ppf(0.999, len(p), u)
     assert (kinds_of(model, p) == EvidenceType.UNKNOWN).mean() < 0.05
-    assert model.rules.level == 0.015
+    assert model.rules.level == pytest.approx(max(0.015, 1 / (model.n_calibration + 1)))
     np.testing.assert_array_equal(model.novelty.test.units_, model.split.train)  # every training frame by itself
 
 
@@ -71,7 +71,7 @@ def test_a_stream_says_that_it_does_not_know_a_place_and_goes_on(model, sequence
 
 
 def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
-    p, strict = model.novelty.p_values(FrameEvidence(features)), replace(model)
+    p, strict, level = model.novelty.p_values(FrameEvidence(features)), replace(model), model.rules.level
     strict.set_novelty_level(0.2)
     np.testing.assert_array_equal(kinds_of(strict, p) == EvidenceType.UNKNOWN, p <= 0.2)
     known = model.rules.known_p > np.where(model.rules.recognised, 0.0, 0.2)
@@ -83,10 +83,10 @@ def test_the_level_can_be_set_and_is_kept(model, features, tmp_path):
     assert load_model(tmp_path).rules.level == 0.2
     strict.set_novelty_level(0.0)
     assert (kinds_of(strict, p) != EvidenceType.UNKNOWN).all()
-    assert model.rules.level == 0.015
-    for level in (-0.1, 1.0, np.nan):
+    assert model.rules.level == level
+    for wrong in (-0.1, 1.0, np.nan):
         with pytest.raises(OdometryError, match="novelty_level"):
-            strict.set_novelty_level(level)
+            strict.set_novelty_level(wrong)
 
 
 GRID = (6, 8)

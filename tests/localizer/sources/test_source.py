@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from conformodal.corridor import write_corridor
 from conformodal.features.local import extract_local_features
 from conformodal.geometry import Trajectory, pose_targets, sign_reference
-from conformodal.io import make_split
+from conformodal.io import make_split, read_recording
 from conformodal.localizer.sources.landmarks import LandmarkSource
 from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.depths import SceneDepth, track_depth
@@ -22,6 +23,12 @@ def data_of(sequence, split, depth_m=None):
     features = np.zeros((len(sequence), 1), dtype=np.float32)
     depth = track_depth(sequence, split.train) if depth_m is None else SceneDepth(depth_m)
     return TrainingData(sequence, split, features, pose_targets(truth, reference), reference, depth=depth)
+
+
+@pytest.fixture(scope="module")
+def sequence(tmp_path_factory):
+    """A slow flight, whose views are close to each other."""
+    return read_recording(write_corridor(tmp_path_factory.mktemp("slow"), n_modules=3, n_laps=1, seed=3).parent)
 
 
 @pytest.fixture(scope="module")
