@@ -25,7 +25,7 @@ test-slow: $(DEV)
 
 # all tests, with the lines that none reaches; measuring them takes the tests much longer
 coverage: $(DEV)
-	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --cov --cov-report=term
 
 # quick tests, and those with the small trained model, with the oldest version of each package that pyproject.toml
 # allows, in an environment of its own. Python 3.11, for which all of them have wheels. Without the extra view: its
@@ -36,7 +36,7 @@ test-oldest:
 	$(OLDEST)/bin/python scripts/oldest.py > $(OLDEST)/oldest.txt
 	$(OLDEST)/bin/python -m pip install --quiet --upgrade "pip>=25.1"
 	$(OLDEST)/bin/python -m pip install --quiet --constraint $(OLDEST)/oldest.txt --editable '.[train,arrow,save,hub,networks,ray,ros,colmap]' --group dev --retries 1 --extra-index-url $(TORCH_INDEX)
-	$(OLDEST)/bin/python -m pytest -n 2 --dist loadfile -m "not slow or trained"
+	$(OLDEST)/bin/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow or trained"
 
 lint: $(DEV)
 	$(BIN)/ruff check .

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TypeAlias
 
 import pytest
-from filelock import FileLock
 from hypothesis import settings
 
 # The same examples every time, so that main does not depend on luck; HYPOTHESIS_PROFILE=default searches anew.
@@ -33,7 +32,7 @@ LONGEST = ("test_acceptance.py", "test_table1.py", "test_extend.py", "test_map.p
 
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What needs the small model waits for its training."""
+    """The longest files come first; what needs the small model waits for its training."""
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
     for item in items:
         if "small_world" in getattr(item, "fixturenames", ()):
@@ -78,6 +77,8 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> MadeOnce:
 
     The others wait. Where the first fails, or is killed, the next one begins anew.
     """
+    from filelock import FileLock
+
     own = tmp_path_factory.getbasetemp()
     root = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
 

@@ -1,6 +1,6 @@
 """Cameras: errors and regions, disturbed images, and coverage where regions are large; or what each part contributes.
 
-python benchmarks/cameras.py [--seeds 40 41 42] [--worlds ...] [--workers 2] [--parts]
+python benchmarks/cameras.py [--seeds 40 41 42] [--worlds ...] [--workers 2] [--ablations]
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def measured_units(keys: list[tuple[str, int, str]], workers: int) -> dict[tuple
     return dict(zip(keys, Parallel(workers, batch_size=1)(delayed(unit)(*key) for key in keys), strict=True))
 
 
-def write_parts(worlds: list[str], seed: int, workers: int) -> None:
+def write_ablations(worlds: list[str], seed: int, workers: int) -> None:
     """The page of what each part contributes."""
     results = measured_units([(world, seed, variant) for world in worlds for variant in VARIANTS], workers)
     parts = []
@@ -118,8 +118,8 @@ def write_parts(worlds: list[str], seed: int, workers: int) -> None:
         parts.append(row)
     parts += [[part, *(f"{results[world, seed, 'ours'][part]:.4f}" for world in worlds)] for part in OTHERS]
     write_page(
-        "camera_parts",
-        "Cameras without a part",
+        "camera_ablations",
+        "Camera ablations",
         shlex.join(["python", *sys.argv]),
         f"Seed {seed}: position RMSE online in metres, coverage at alpha = {ALPHA} and median length of the image's "
         "regions. The path without motion or without the filter is that of the same model.",
@@ -131,10 +131,12 @@ def main() -> None:
     parser = parser_with_seeds(__doc__)
     parser.add_argument("--worlds", nargs="+", default=list(WORLDS), choices=WORLDS)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--parts", action="store_true", help="the systems without a part, with the first seed")
+    parser.add_argument(
+        "--ablations", action="store_true", help="the systems without a part instead, with the first seed"
+    )
     options = parser.parse_args()
-    if options.parts:
-        write_parts([world for world in ABLATED if world in options.worlds], options.seeds[0], options.workers)
+    if options.ablations:
+        write_ablations([world for world in ABLATED if world in options.worlds], options.seeds[0], options.workers)
         return
     keys = [(world, seed, "ours") for seed in options.seeds for world in options.worlds]
     results = measured_units(keys, options.workers)

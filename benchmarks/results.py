@@ -33,7 +33,7 @@ class Unit:
 
 UNITS = {
     "cameras": Unit("cameras.py", 45, 2),
-    "camera_parts": Unit("cameras.py --parts", 40, 2, ("cameras",)),
+    "camera_ablations": Unit("cameras.py --ablations", 40, 2, ("cameras",)),
     "recordings": Unit("recordings.py", 14, 1, ("cameras",)),
     "unseen": Unit("unseen.py", 14),
     "landmarks": Unit("landmarks.py", 8),

@@ -26,7 +26,10 @@ def two_recordings(small_corridor, tmp_path):
 
 @pytest.fixture(scope="module")
 def short_fits() -> Iterator[None]:
-    """Densities with names learn in a tenth of the time, and less well: for tests of what goes in and comes out."""
+    """Densities with names learn in a tenth of the time, and less well: for tests of what goes in and comes out.
+
+    They have few trees and no smooth member.
+    """
     from conformodal.conformal.density import named
 
     boosting = named.boosting

@@ -23,7 +23,7 @@ def test_demo(tmp_path):
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     n, errors, coverage, paths = (metrics[key] for key in ("n_answered", "errors", "coverage", "path_coverage"))
     assert errors["classical"]["rmse_m"] >= 3 * errors["smoothed"]["rmse_m"]
-    # of one new lap it is an observation; of laps like it, 0.9 on average
+    # of one new pass it is an observation; of passes like it, 0.9 on average
     assert coverage["bounded_coverage"] > 0.8
     assert coverage["n_bounded"] > 0.8 * n
     assert metrics["ambiguity"]["n_places"] > 50
@@ -42,8 +42,8 @@ def test_demo(tmp_path):
     assert set(errors) == {"online", "smoothed", "hindsight", "classical"}
     assert set(paths) >= {"online", "hindsight"}
     assert len(read_tum(tmp_path / "trajectory.tum")) == len(read_tum(tmp_path / "methods" / "classical.tum")) == n
-    laps = read_recording(tmp_path / "corridor" / "laps-seed-1").recording
-    assert np.bincount(laps).tolist() == [n] * demo.N_LAPS
+    passes = read_recording(tmp_path / "corridor" / "passes-seed-1").recording
+    assert np.bincount(passes).tolist() == [n] * demo.N_PASSES
     page = (tmp_path / "report.html").read_text()
     assert "of the same view; the regions hold" in page
     assert "classical regressor" in page

@@ -16,9 +16,12 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import OneHotEncoder
 
 from conformodal.conformal import ConformalRegressor, ConformodalError, StackedDensity, saving
+from conformodal.conformal.density import named
+from conformodal.conformal.density.named import SubsetProcess
 
 pytestmark = pytest.mark.usefixtures("short_fits")
 skops = pytest.importorskip("skops.io")
+SMOOTH_MEMBER = named.smooth_member  # which short_fits leaves out
 RNG = np.random.default_rng(0)
 X = pd.DataFrame({"a": RNG.uniform(size=200), "site": RNG.choice(["north", "south"], 200)})
 Y = X.a.to_numpy() + RNG.normal(0, 0.1, 200)
@@ -50,6 +53,16 @@ def test_a_regressor_comes_back_as_it_was(kind, tmp_path):
         np.testing.assert_array_equal(one.bins.limits, other.bins.limits)
     np.testing.assert_array_equal(again.predict(X), reg.predict(X))
     again.conformalize(X, np.column_stack((Y, -Y)) if "joint" in KINDS[kind] else Y)
+
+
+def test_a_smooth_member_comes_back(tmp_path, monkeypatch):
+    monkeypatch.setattr(named, "smooth_member", SMOOTH_MEMBER)
+    x = np.sort(RNG.uniform(size=200))[:, None]
+    reg = ConformalRegressor(random_state=0).fit(x, np.sin(6 * x[:, 0]) + RNG.normal(0, 0.02, 200))
+    assert isinstance(reg.estimators_[0].location_._models[0], SubsetProcess)
+    reg.save(tmp_path / "reg.cm")
+    again = ConformalRegressor.load(tmp_path / "reg.cm")
+    np.testing.assert_array_equal(again.predict_region(x).masks[0], reg.predict_region(x).masks[0])
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from conformodal.corridor import CAMERA, Renderer, same_views, write_corridor, write_laps
-from conformodal.corridor.flight import drone_path, rotation_world_cam
+from conformodal.corridor import CAMERA, Renderer, same_views, write_corridor, write_passes
+from conformodal.corridor.flight import drone_pass, drone_path, rotation_world_cam
 from conformodal.corridor.world import MODULE_LENGTH, CorridorWorld
 from conformodal.io import read_recording
 
@@ -57,9 +57,10 @@ def test_views_repeat_by_modules_except_for_landmarks(renderer):
         assert (difference > 1).mean() < 1e-3  # rounding, at a few edges
 
 
-def test_the_drone_stays_clear_of_walls(renderer):
+@pytest.mark.parametrize("way", ["lap", "pass"])
+def test_the_drone_stays_clear_of_walls(renderer, way):
     world = renderer.world
-    path = drone_path(world, n_laps=1, seed=1)
+    path = drone_path(world, n_laps=1, seed=1) if way == "lap" else drone_pass(world, seed=1)
     steps = np.diff(path.positions_xyz, axis=0)
     length = np.linalg.norm(steps, axis=1)
     origins, headings = path.positions_xyz[:-1], steps / length[:, None]
@@ -83,15 +84,16 @@ def test_writing_is_reproducible_and_readable(tmp_path, monkeypatch):
     assert a.timestamps_s[1] == pytest.approx(0.1)
 
 
-def test_laps_are_recordings_that_differ_and_the_same_seed_gives_the_same(tmp_path):
+def test_passes_are_recordings_that_differ_and_a_seed_repeats_them(tmp_path):
     for name in ("one", "other"):
-        write_laps(tmp_path / name, n_modules=2, n_laps=2, seed=5, speed=8.0)
-    laps, again = (read_recording(tmp_path / name) for name in ("one", "other"))
-    assert np.bincount(laps.recording).tolist() == [len(laps) // 2] * 2
-    first, second = np.split(laps.require_truth().positions_xyz, 2)
+        write_passes(tmp_path / name, n_modules=2, n_passes=2, seed=5, speed=8.0)
+    passes, again = (read_recording(tmp_path / name) for name in ("one", "other"))
+    assert np.bincount(passes.recording).tolist() == [len(passes) // 2] * 2
+    first, second = np.split(passes.require_truth().positions_xyz, 2)
+    assert first[0, 0] < 2 < 5.5 < first[-1, 0]  # from end to end of 8 m
     assert 0.01 < np.abs(first - second).max() < 0.5  # the same way, with other gusts
-    for i in (0, len(laps) - 1):
-        np.testing.assert_array_equal(laps.image(i), again.image(i))
+    for i in (0, len(passes) - 1):
+        np.testing.assert_array_equal(passes.image(i), again.image(i))
 
 
 def test_a_faster_flight_has_fewer_frames_of_the_same_way():
@@ -100,10 +102,10 @@ def test_a_faster_flight_has_fewer_frames_of_the_same_way():
     np.testing.assert_allclose(fast.max(axis=0), slow.max(axis=0), atol=0.4)
 
 
-def test_laps_that_are_there_are_not_flown_again(tmp_path):
-    write_laps(tmp_path, n_modules=2, n_laps=1, seed=5, speed=8.0)
+def test_passes_that_are_there_are_not_flown_again(tmp_path):
+    write_passes(tmp_path, n_modules=2, n_passes=1, seed=5, speed=8.0)
     first = sorted((tmp_path / "seq-01").iterdir())[0]
     written = first.stat().st_mtime_ns
-    write_laps(tmp_path, n_modules=2, n_laps=2, seed=5, speed=8.0)
+    write_passes(tmp_path, n_modules=2, n_passes=2, seed=5, speed=8.0)
     assert first.stat().st_mtime_ns == written
     assert len(np.unique(read_recording(tmp_path).recording)) == 2

@@ -44,7 +44,7 @@ def test_an_offset_counts_beside_the_depth_of_the_scene_and_the_scatter(depth_m,
 
 @pytest.mark.slow
 def test_recordings_in_two_world_frames_are_told_apart(sequence):
-    rows = slice(90)  # one room
+    rows = slice(None, None, 2)  # of rooms that look alike
     images = {name: getattr(sequence, name)[rows] for name in ("image_paths", "timestamps_s", "recording")}
     sequence = replace(sequence, **images, poses=sequence.truth[rows])
     same = measure_overlap(sequence, sequence, depth_m=2.5)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from conformodal.conformal import NoveltyTest
 from conformodal.features.extract import FeatureCache, extract_features
 from conformodal.io import THUMBNAIL
 from conformodal.localizer.evidence import FrameEvidence
@@ -45,6 +46,18 @@ def test_test_frames_are_known(model, features):
     assert (kinds_of(model, p) == EvidenceType.UNKNOWN).mean() < 0.05
     assert model.rules.level == pytest.approx(max(0.015, 1 / (model.n_calibration + 1)))
     np.testing.assert_array_equal(model.novelty.test.units_, model.split.train)  # every training frame by itself
+
+
+def test_the_default_level_is_that_of_frames_or_of_stretches():
+    references, rows = np.random.default_rng(0).normal(size=(200, 3)), np.arange(200)
+
+    def level(units, asked=None):
+        return PlaceNovelty(NoveltyTest(references[: len(units)], units), (1, 1)).level(asked)
+
+    assert level(rows) == 0.015
+    assert level(rows // 4) == 0.1
+    assert level(rows[:20]) == pytest.approx(1 / 21)  # no p-value is smaller
+    assert level(rows, 0.3) == 0.3
 
 
 @pytest.mark.parametrize("what", SOMETHING_ELSE)

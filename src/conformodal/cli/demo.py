@@ -11,7 +11,7 @@ import typer
 
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.words import counted
-from conformodal.corridor import write_laps
+from conformodal.corridor import write_passes
 from conformodal.corridor.ambiguity import count_look_alikes
 from conformodal.corridor.render import Renderer
 from conformodal.corridor.world import CorridorWorld
@@ -32,7 +32,7 @@ from .answering import Part, answer_stream, describe_outcome, metrics_of, part_f
 from .console import print_where, progress_bars, report_line
 from .train import train_on
 
-N_MODULES, N_LAPS, SPEED = 3, 4, 2.0
+N_MODULES, N_PASSES, SPEED = 3, 4, 2.0
 WRONG_M = 0.5  # a pose that is further off is wrong: rooms are 4 m apart
 
 
@@ -42,9 +42,9 @@ def demo(
 ) -> None:
     """Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and motion."""
     started, features, training = time.perf_counter(), FeatureCache(out / "cache"), TrainingConfig(seed=seed)
-    config = ModelConfig(split=SplitKind.RECORDINGS, test=1 / N_LAPS, seed=seed, training=training)
+    config = ModelConfig(split=SplitKind.RECORDINGS, test=1 / N_PASSES, seed=seed, training=training)
     with lock_output(out, "demo"), progress_bars(out) as report:
-        sequence = _corridor(out / "corridor" / f"laps-seed-{seed}", seed, report)
+        sequence = _corridor(out / "corridor" / f"passes-seed-{seed}", seed, report)
         data = prepare_training_data(sequence, config, features, report)
         model = train_on(data, config, out / "model", report)
         answered: dict[int, PoseRegions] = {}
@@ -76,11 +76,12 @@ def demo(
             f"view; the regions hold {100 * places['share_held']:.1f} % of these."
         )
         summary = [
-            f"A drone flew {counted(N_LAPS, 'lap')} along a dark hallway of {counted(N_MODULES, 'identical module')}, "
-            f"from end to end and into every room. {counted(N_LAPS - 1, 'lap')}, "
+            f"A drone flew {counted(N_PASSES, 'pass', 'passes')} through a dark hallway of "
+            f"{counted(N_MODULES, 'identical module')}, from end to end and into every room. "
+            f"{counted(N_PASSES - 1, 'pass', 'passes')}, "
             f"{len(model.split.train) + len(model.split.calibration)} frames, trained and calibrated the model; it "
-            f"answered the other, {len(truth)} frames, as a stream. Stretches of the laps calibrate, so what is "
-            "guaranteed is about a random frame of a new stretch of such a lap; the coverage of a new lap is an "
+            f"answered the other, {len(truth)} frames, as a stream. Stretches of the passes calibrate, so what is "
+            "guaranteed is about a random frame of a new stretch of such a pass; the coverage of a new pass is an "
             "observation.",
             f"{outcome}.",
             alike,
@@ -94,8 +95,8 @@ def demo(
 
 
 def _corridor(folder: Path, seed: int, report: StageProgress) -> Recording:
-    """The laps of a seed; those that are there are not flown again."""
+    """The passes of a seed; those that are there are not flown again."""
     progress = stage_of(report, "corridor")
     return read_recording(
-        write_laps(folder, n_modules=N_MODULES, n_laps=N_LAPS, seed=seed, speed=SPEED, progress=progress)
+        write_passes(folder, n_modules=N_MODULES, n_passes=N_PASSES, seed=seed, speed=SPEED, progress=progress)
     )

@@ -6,7 +6,7 @@ with require_extra("train", "the corridor world"):
     import trimesh  # noqa: F401
 
 from .ambiguity import same_views
-from .flight import drone_path, write_corridor, write_flight, write_laps
+from .flight import drone_pass, drone_path, write_corridor, write_flight, write_passes
 from .render import CAMERA, Renderer
 from .world import CorridorWorld
 
@@ -14,9 +14,10 @@ __all__ = [
     "CAMERA",
     "CorridorWorld",
     "Renderer",
+    "drone_pass",
     "drone_path",
     "same_views",
     "write_corridor",
     "write_flight",
-    "write_laps",
+    "write_passes",
 ]

@@ -30,23 +30,23 @@ Waypoint = tuple[float, float, float]  # x, y, yaw in degrees; yaw 0 looks along
 
 
 def drone_path(
-    world: CorridorWorld,
-    n_laps: int = 2,
-    seed: int | tuple[int, int] = 0,
-    speed: float = 1.0,
-    *,
-    there_and_back: bool = True,
+    world: CorridorWorld, n_laps: int = 2, seed: int | tuple[int, int] = 0, speed: float = 1.0
 ) -> Trajectory:
     """Poses ``T_world_cam`` of an inspection flight, seeded, at 10 frames per second.
 
-    Each of `n_laps` laps goes along the hall and, if it is `there_and_back`, back, and each time into every room,
-    always in the same manner, so that flying does not tell rooms apart that look alike. Gusts move the drone by some
-    centimetres and degrees, fast enough that a frame is no more like its neighbours in time than like those of another
-    visit. The drone moves sideways where it has to: the camera never looks straight at the hall side opposite the
-    rooms. Its cruising speed is 1.5 m/s times `speed`.
+    Each of `n_laps` laps goes along the hall and back and into every room, always in the same manner, so that flying
+    does not tell rooms apart that look alike. Gusts move the drone by some centimetres and degrees, fast enough that a
+    frame is no more like its neighbours in time than like those of another visit. The drone moves sideways where it has
+    to: the camera never looks straight at the hall side opposite the rooms. Its cruising speed is 1.5 m/s times
+    `speed`.
     """
-    lap = _lap(world, there_and_back)
+    lap = [*_way_there(world), *_way_back(world)]
     return fly(lap * n_laps, np.random.default_rng(seed), speed)
+
+
+def drone_pass(world: CorridorWorld, seed: int | tuple[int, int] = 0, speed: float = 1.0) -> Trajectory:
+    """The first half of a lap of :func:`drone_path`: from end to end, and into every room."""
+    return fly(_way_there(world), np.random.default_rng(seed), speed)
 
 
 def fly(waypoints: list[Waypoint], rng: np.random.Generator, speed: float = 1.0) -> Trajectory:
@@ -78,20 +78,24 @@ def rotation_world_cam(yaw: npt.ArrayLike, pitch: npt.ArrayLike = 0.0, roll: npt
     return np.asarray(attitude.as_matrix() @ level)
 
 
-def _lap(world: CorridorWorld, there_and_back: bool) -> list[Waypoint]:
-    """Along the hall. The drone turns round only at doors, as on a visit, and backs away from the ends."""
+def _way_there(world: CorridorWorld) -> list[Waypoint]:
+    """Along the hall and into every room."""
+    middle = HALL_WIDTH / 2
+    visits = [point for k in range(world.n_modules) for point in _visit(k, 0.0)]
+    return [(0.8, middle, 0.0), *visits, (world.length - 0.8, middle, 0.0)]
+
+
+def _way_back(world: CorridorWorld) -> list[Waypoint]:
+    """From where the way there ends.
+
+    The drone turns round only at doors, as on a visit, and backs away from the ends.
+    """
     middle, first, last = HALL_WIDTH / 2, DOOR_CENTRE, world.length - MODULE_LENGTH + DOOR_CENTRE
     west, east = 0.8, world.length - 0.8
-    path: list[Waypoint] = [(west, middle, 0.0)]
-    for k in range(world.n_modules):
-        path += _visit(k, 0.0)
-    path += [(east, middle, 0.0)]
-    if there_and_back:
-        path += [(last, middle, 0.0), (last, middle, 90.0), (last, middle, 180.0), (east, middle, 180.0)]
-        for k in reversed(range(world.n_modules)):
-            path += _visit(k, 180.0)
-        path += [(west, middle, 180.0), (first, middle, 180.0), (first, middle, 90.0), (first, middle, 0.0)]
-    return path
+    visits = [point for k in reversed(range(world.n_modules)) for point in _visit(k, 180.0)]
+    turn = [(last, middle, 0.0), (last, middle, 90.0), (last, middle, 180.0), (east, middle, 180.0)]
+    turn_again = [(west, middle, 180.0), (first, middle, 180.0), (first, middle, 90.0), (first, middle, 0.0)]
+    return [*turn, *visits, *turn_again]
 
 
 def _visit(k: int, heading: float) -> list[Waypoint]:
@@ -127,29 +131,29 @@ def write_corridor(
     return write_flight(Path(folder) / "seq-01", Renderer(world), poses, noise_seed=seed * 1_000_003, progress=progress)
 
 
-def write_laps(
+def write_passes(
     folder: Path | str,
     *,
     n_modules: int = 3,
-    n_laps: int = 4,
+    n_passes: int = 4,
     seed: int = 0,
     speed: float = 1.0,
     progress: Progress | None = None,
 ) -> Path:
-    """Fly laps through the corridor, each a recording of its own, ``seq-01`` and so on: they are exchangeable.
+    """Fly passes through the corridor, each a recording of its own, ``seq-01`` and so on: they are exchangeable.
 
-    Each goes from end to end, and into every room on the way. The seed is that of world, paths and camera noise.
-    Returns the folder of the recordings.
+    The seed is that of world, paths and camera noise. Returns the folder of the recordings. Those that are there are
+    not flown again.
     """
     world, folder = CorridorWorld(n_modules, seed=seed), Path(folder)
     renderer, done = Renderer(world), 0
-    laps = [drone_path(world, 1, (seed, lap), speed, there_and_back=False).poses_se3 for lap in range(n_laps)]
-    total = sum(map(len, laps))
-    for lap, poses in enumerate(laps):
+    passes = [drone_pass(world, (seed, number), speed).poses_se3 for number in range(n_passes)]
+    total = sum(map(len, passes))
+    for number, poses in enumerate(passes):
         report = None if progress is None else partial(_report, progress, done, total)
-        noise_seed = ((seed + 1) * 1_000 + lap) * 1_000_003
-        recording = folder / f"seq-{lap + 1:02d}"
-        if not recording.is_dir():  # flown before
+        noise_seed = ((seed + 1) * 1_000 + number) * 1_000_003
+        recording = folder / f"seq-{number + 1:02d}"
+        if not recording.is_dir():
             write_flight(recording, renderer, poses, noise_seed=noise_seed, progress=report)
         done += len(poses)
     return folder

@@ -219,19 +219,20 @@ def choose_tracks(chunks: Sequence[InlierRays], n_frames: int) -> Tracks:
     starts = np.flatnonzero(np.diff(corner, prepend=-1))
     counts = np.diff(np.append(starts, len(corner)))
     order = np.argsort(-counts, kind="stable")
-    # lists, since tracks are short: an operation on a few numbers takes an array longer
-    corners, numbers, frames = corner.tolist(), number.tolist(), frame.tolist()
     used = bytearray(int(max(number.max(initial=0), corner.max(initial=0))) + 1)
     tracks_per_frame, rows = [0] * n_frames, list[list[int]]()
-    for start, end in zip(starts[order].tolist(), (starts + counts)[order].tolist(), strict=True):
-        if used[corners[start]]:
+    tracks = zip(corner[starts][order].tolist(), starts[order].tolist(), counts[order].tolist(), strict=True)
+    for of, start, count in tracks:
+        if used[of]:
             continue
-        unused = [k for k in range(start, end) if not used[numbers[k]]]
+        # lists, since tracks are short: an operation on a few numbers takes an array longer
+        numbers, frames = number[start : start + count].tolist(), frame[start : start + count].tolist()
+        unused = [k for k in range(count) if not used[numbers[k]]]
         if len(unused) >= _MIN_VIEWS and min(tracks_per_frame[frames[k]] for k in unused) < _TRACKS:
             for k in unused:
                 used[numbers[k]] = True
                 tracks_per_frame[frames[k]] += 1
-            rows.append(unused)
+            rows.append([start + k for k in unused])
     if not rows:
         return Tracks(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)))
     every, point = np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(track) for track in rows])
