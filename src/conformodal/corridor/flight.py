@@ -23,6 +23,7 @@ FRAME_RATE_HZ = 10.0
 STEP_M = 0.15  # between frames, at cruising speed
 TURN_RAD = np.radians(7.0)
 CRUISE_HEIGHT_M = 1.3
+FROM_END_M = 0.8  # where the drone turns back
 SMOOTHING_FRAMES = 2.0
 GUST_M, GUST_RAD, GUST_FRAMES = 0.05, np.radians(1.2), 1.0
 
@@ -82,7 +83,7 @@ def _way_there(world: CorridorWorld) -> list[Waypoint]:
     """Along the hall and into every room."""
     middle = HALL_WIDTH / 2
     visits = [point for k in range(world.n_modules) for point in _visit(k, 0.0)]
-    return [(0.8, middle, 0.0), *visits, (world.length - 0.8, middle, 0.0)]
+    return [(FROM_END_M, middle, 0.0), *visits, (world.length - FROM_END_M, middle, 0.0)]
 
 
 def _way_back(world: CorridorWorld) -> list[Waypoint]:
@@ -91,7 +92,7 @@ def _way_back(world: CorridorWorld) -> list[Waypoint]:
     The drone turns round only at doors, as on a visit, and backs away from the ends.
     """
     middle, first, last = HALL_WIDTH / 2, DOOR_CENTRE, world.length - MODULE_LENGTH + DOOR_CENTRE
-    west, east = 0.8, world.length - 0.8
+    west, east = FROM_END_M, world.length - FROM_END_M
     visits = [point for k in reversed(range(world.n_modules)) for point in _visit(k, 180.0)]
     turn = [(last, middle, 0.0), (last, middle, 90.0), (last, middle, 180.0), (east, middle, 180.0)]
     turn_again = [(west, middle, 180.0), (first, middle, 180.0), (first, middle, 90.0), (first, middle, 0.0)]

@@ -11,10 +11,9 @@ from conformodal.core.arrays import BoolArray, FloatArray, IntArray
 
 MIN_PARALLAX_RAD = float(np.radians(2.5))
 _ITERATIONS = 4
-# the upper triangle of a symmetric matrix, row by row, and where it lies on the diagonal
+# the upper triangle of a symmetric matrix, row by row; where it lies on the diagonal, and where each entry comes from
 _ROWS, _COLUMNS = np.triu_indices(3)
-_DIAGONAL = [0, 3, 5]
-_LEAST_EIGENVALUE = 1e-9  # added, so that parallel rays have a solution, far away
+_DIAGONAL, _SYMMETRIC = [0, 3, 5], np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 _DOUBT = 0.4  # share of the tolerance above which residuals are downweighted
 
 
@@ -76,7 +75,8 @@ def triangulate(rays: Rays, tolerance: float) -> Points:
     for _ in range(_ITERATIONS):
         # a row for each corner, which weighs its rays: the product is faster than sums by reduceat
         by_corner = csr_array((weights, np.arange(len(world)), bounds), shape=(len(corners), len(world)))
-        points = _solved(by_corner @ equations)
+        sums = by_corner @ equations
+        points = np.linalg.solve(sums[:, _SYMMETRIC] + 1e-9 * np.eye(3), sums[:, 6:, None])[..., 0]
         apart = points.take(corner, axis=0) - centres
         square, along = np.maximum(_dot(apart, apart), 1e-12), _dot(apart, world)
         off = np.sqrt(np.maximum(square - along**2, 0) / square)
@@ -104,17 +104,3 @@ def _off_epipolar(
 def _dot(one: FloatArray, other: FloatArray) -> FloatArray:
     """Products (m,) of vectors (m, 3), row by row."""
     return np.asarray(np.einsum("ij,ij->i", one, other))
-
-
-def _solved(equations: FloatArray) -> FloatArray:
-    """Solutions (n, 3) of symmetric systems (n, 9): the upper triangle, row by row, and the right side.
-
-    By Cramer's rule: LAPACK takes several times as long for so many systems that are so small.
-    """
-    a, b, c, d, e, f, x, y, z = equations.T
-    a, d, f = a + _LEAST_EIGENVALUE, d + _LEAST_EIGENVALUE, f + _LEAST_EIGENVALUE
-    # the adjugate, which is symmetric too
-    aa, ab, ac, bb, bc, cc = d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b
-    determinant = a * aa + b * ab + c * ac
-    solved = np.stack((aa * x + ab * y + ac * z, ab * x + bb * y + bc * z, ac * x + bc * y + cc * z), axis=1)
-    return np.asarray(solved / determinant[:, None])

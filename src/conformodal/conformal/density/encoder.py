@@ -57,7 +57,7 @@ def as_column(column: Any, name: object, text: bool = False) -> AnyArray:
     arr = np.asarray(column)
     kind = str(getattr(column, "dtype", "")).lower()
     labels = kind.startswith(("categor", "enum"))
-    if kind.startswith("str") and hasattr(column, "factorize"):  # of pandas: each label once
+    if _is_pandas_text(column):  # each label once
         codes, distinct = column.factorize()
         return np.asarray(np.array([*map(str, distinct), ""], dtype=np.str_)[codes])
     labels |= text and arr.dtype.kind == "O"
@@ -82,11 +82,15 @@ def _without_zone(value: date) -> date:
     return value.astimezone(UTC).replace(tzinfo=None) if aware else value  # type: ignore[attr-defined]
 
 
+def _is_pandas_text(column: Any) -> bool:
+    return str(getattr(column, "dtype", "")).lower().startswith("str") and hasattr(column, "factorize")
+
+
 def dates_of_text(column: Any) -> AnyArray | None:
     """Times (n,) in UTC of a column of ISO 8601 text with year, month and day; None if it holds anything else."""
     known: dict[Any, Any] = {}
     codes, distinct = None, column
-    if str(getattr(column, "dtype", "")).startswith("str") and hasattr(column, "factorize"):  # pandas
+    if _is_pandas_text(column):  # each text once
         codes, distinct = column.factorize()
     if first_other_than_dates(distinct, known) is not None or not known:
         return None
