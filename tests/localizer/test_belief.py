@@ -1,20 +1,24 @@
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.checks import BinProbabilities
+from conformodal.conformal.scores import Aps
 from conformodal.geometry import fix_sign
+from conformodal.localizer.cells import BEYOND, BeliefCells, divide_bins
 from conformodal.localizer.evidence import PoseMeasurement
 from conformodal.localizer.fusion import fuse
-from conformodal.localizer.localizer import BEYOND, RECOGNISED, Beliefs, belief_cells, recognised_only
+from conformodal.localizer.localizer import RECOGNISED, Beliefs, recognised_only
 from conformodal.localizer.mixtures import PoseMixture
 
 SIGN = np.array([1.0, 0, 0, 0])
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def bins():
     rng = np.random.default_rng(0)
     quats = Rotation.from_rotvec(0.3 * rng.normal(size=(300, 3))).as_quat(scalar_first=True)
@@ -42,11 +46,11 @@ def beliefs(proba, *mixtures):
 
 
 def marginals(bins, proba, *mixtures, sign=SIGN):
-    return beliefs(proba, *mixtures).marginals(bins, belief_cells(bins), sign)
+    return beliefs(proba, *mixtures).marginals(BeliefCells.of(bins, divide_bins(bins), sign))
 
 
 def test_cells_hold_the_edges_of_the_bins_and_reach_beyond(bins):
-    cells = belief_cells(bins)
+    cells = divide_bins(bins)
     for edges, fine in zip(bins.edges_, cells.edges_, strict=True):
         assert np.isin(edges, fine).all()
         reach, widths = np.ptp(edges), np.diff(fine)
@@ -56,7 +60,7 @@ def test_cells_hold_the_edges_of_the_bins_and_reach_beyond(bins):
         np.testing.assert_allclose(widths[:BEYOND], widths[-BEYOND:][::-1])
         assert len(widths) == 800 + 2 * BEYOND
     many = QuantileBins(900).fit(np.linspace(0, 1, 5000))
-    assert belief_cells(many).sizes == [900 + 2 * BEYOND]
+    assert divide_bins(many).sizes == [900 + 2 * BEYOND]
 
 
 def test_rooms_far_away_change_no_region_by_more_than_a_cell():
@@ -64,9 +68,9 @@ def test_rooms_far_away_change_no_region_by_more_than_a_cell():
     room = np.column_stack((rng.uniform(0, 4, (500, 3)), rng.uniform(-1, 1, (500, 4))))
     for shifts in ([0], [0, 50, 2000, 3000]):
         bins = QuantileBins(50).fit(np.concatenate([room + shift * (np.arange(7) < 3) for shift in shifts]))
-        cells, proba = belief_cells(bins, depth_m=2.0), softmaxes(bins, 1)
-        parts = beliefs(proba, mixture([estimate([1.0, 2.0, 3.0])])).marginals(bins, cells, SIGN)
-        shares = beliefs(proba).marginals(bins, cells, SIGN)
+        cells, proba = divide_bins(bins, depth_m=2.0), softmaxes(bins, 1)
+        parts = beliefs(proba, mixture([estimate([1.0, 2.0, 3.0])])).marginals(BeliefCells.of(bins, cells, SIGN))
+        shares = beliefs(proba, mixture()).marginals(BeliefCells.of(bins, cells, SIGN))
         for p, rows, coarse, fine in zip(proba, shares, bins.edges_, cells.edges_, strict=True):
             within = np.add.reduceat(rows, np.searchsorted(fine, coarse), axis=1)
             np.testing.assert_allclose(within[:, :-1], p, rtol=1e-6)
@@ -87,7 +91,7 @@ def test_rows_add_up_to_one_whatever_is_believed(bins):
 
 
 def test_without_estimates_the_softmax_is_spread_evenly(bins):
-    proba, cells = softmaxes(bins, 5), belief_cells(bins)
+    proba, cells = softmaxes(bins, 5), divide_bins(bins)
     for j, found in enumerate(marginals(bins, proba, *[mixture()] * 5)):
         inside = (cells.edges_[j][:-1] >= bins.edges_[j][0]) & (cells.edges_[j][1:] <= bins.edges_[j][-1])
         assert not found[:, ~inside].any()
@@ -103,7 +107,7 @@ def test_without_estimates_the_softmax_is_spread_evenly(bins):
 
 @pytest.mark.parametrize("probability", [0.05, 0.5, 0.9])
 def test_an_estimate_has_its_probability_and_students_tails(bins, probability):
-    proba, cells = softmaxes(bins, 3), belief_cells(bins)
+    proba, cells = softmaxes(bins, 3), divide_bins(bins)
     middle = [float(np.median(e)) for e in bins.edges_[:3]]
     its = estimate(middle, probability=probability)
     found = marginals(bins, proba, mixture(), mixture([its]), mixture())
@@ -126,7 +130,7 @@ def test_signs_of_quaternions_are_those_of_the_reference(sign):
     its = estimate([0, 0, 0], probability=0.99)
     (place,) = fix_sign(its.orientation_quat_wxyz[None], sign)
     found = marginals(bins, softmaxes(bins, 1), mixture([its]), sign=sign)
-    for rows, q, edges in zip(found[3:], place, belief_cells(bins).edges_[3:], strict=True):
+    for rows, q, edges in zip(found[3:], place, divide_bins(bins).edges_[3:], strict=True):
         best = int(rows[0].argmax())
         assert edges[best] <= q <= edges[best + 1]
 
@@ -136,3 +140,39 @@ def test_a_place_is_recognised_by_an_estimate_that_is_probably_right():
     given = [[], [unsure], [unsure, sure], [sure]]
     assert Beliefs([], [mixture()] * 4, given).recognised.tolist() == [False, False, True, True]
     assert [recognised_only(its) for its in given] == [[], [], [sure], [sure]]
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    seed=st.integers(0, 10**6),
+    n_places=st.integers(1, 4),
+    sigma_m=st.sampled_from([1e-4, 0.01, 0.1, 1.0]),
+    probability=st.sampled_from([0.3, 0.9, 0.999]),
+    limit=st.sampled_from([0.2, 0.7, 0.9, 0.98, np.inf]),
+)
+def test_the_level_set_near_hypotheses_is_that_of_all_cells(bins, seed, n_places, sigma_m, probability, limit):
+    rng = np.random.default_rng(seed)
+    cells = BeliefCells.of(bins, divide_bins(bins), SIGN)
+    low, high = np.array([(edges[0], edges[-1]) for edges in bins.edges_[:3]]).T
+    places = rng.uniform(1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low, (n_places, 3))  # some are beyond the bins
+    answers = [estimate(place, rng.normal(size=3), sigma_m, sigma_m, probability) for place in places]
+    its, proba = mixture(answers), softmaxes(bins, 1, seed)
+    rule = SplitConformal(divide_bins(bins), 0.1, "hpd", "max")
+    limits = np.full(7, limit)
+    expected = rule.regions_at(BinProbabilities(beliefs(proba, its).marginals(cells)), limits)
+    found = cells.level_set(np.concatenate(proba, axis=1)[0], its, Aps("density", 0.5), limits)
+    if found is None:  # as where the limit is beyond what is near
+        assert limit > 0.6 or probability < 0.5 or sigma_m > 0.1 or n_places > 1
+        return
+    for mask, near in zip(expected.masks, cells.by_target(found[None]), strict=True):
+        np.testing.assert_array_equal(near, mask)
+
+
+def test_the_level_set_of_a_recognised_place_is_found_nearby(bins):
+    cells = BeliefCells.of(bins, divide_bins(bins), SIGN)
+    middle = [float(np.median(edges)) for edges in bins.edges_[:3]]
+    its, proba = mixture([estimate(middle, probability=0.99)]), np.concatenate(softmaxes(bins, 1), axis=1)[0]
+    found = cells.level_set(proba, its, Aps("density", 0.5), np.full(7, 0.9))
+    assert 7 < found.sum() < 0.2 * len(found)
+    assert cells.level_set(proba, mixture(), Aps("density", 0.5), np.full(7, 0.9)) is None
+    assert cells.level_set(proba, its, Aps("probability", 0.5), np.full(7, 0.9)) is None

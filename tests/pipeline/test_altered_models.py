@@ -21,8 +21,8 @@ def saved(tmp_path_factory):
     """The folder of a saved model with few cells, its record and its arrays."""
     folder = tmp_path_factory.mktemp("small")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("conformodal.localizer.localizer._CELLS", 40)
-        patch.setattr("conformodal.localizer.localizer.BEYOND", 10)
+        patch.setattr("conformodal.localizer.cells._CELLS", 40)
+        patch.setattr("conformodal.localizer.cells.BEYOND", 10)
         save_model(small_model(), folder)
         record = json.loads((folder / "model.json").read_text())
         yield folder, record, load((folder / f"weights-{record['weights'][:8]}.safetensors").read_bytes())

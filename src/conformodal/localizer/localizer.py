@@ -14,13 +14,14 @@ from typing import Self
 
 import numpy as np
 
-from conformodal.conformal import QuantileBins
+from conformodal.conformal import QuantileBins, Regions
+from conformodal.conformal.scores import Aps
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 from conformodal.core.parallel import in_threads, in_workers, raise_if_cancelled
 from conformodal.core.progress import stage_of
-from conformodal.geometry import fix_sign
 
 from . import LocalizationError
+from .cells import BeliefCells, divide_bins
 from .evidence import FrameEvidence, PoseMeasurement
 from .fusion import fuse
 from .mixtures import PoseMixture
@@ -31,20 +32,11 @@ from .sources.registry import CarriesLandmarks, PoseSource, TurnsImages, find_so
 from .training_data import TrainingData
 
 _IMAGES_AT_A_TIME = 128  # seven times some thousand cells each
-_CELLS = 800  # per target, at least: estimates are more precise than bins
-# Cells of positions are no wider than this share of the scene's depth, however large the world. But bins may bridge the
-# space between rooms: they have so many such cells at each end, where frames may be, and some wider ones between
-_WIDEST, _AT_EACH_END, _BETWEEN = 1 / 400, 128, 16
-# cells beyond the bins at each end, each wider than the one before by this factor: poses may be where no training
-# frame was. They reach 2.4 times as far as the 800 cells
-BEYOND, _WIDER = 300, 1.01
 RECOGNISED = 0.9  # inlier probability from which an estimate by local features is a recognised place
 # A source is asked beside a recognised place if the standard deviation of its best estimates is at most so many times
 # that of the place: the product then has a standard deviation smaller by a sixth or more. With 3, the network runs for
 # more images of redkitchen `blocks` (seed 20) and fr1_xyz (seed 22), and errors differ by less than a hundredth
 _USEFUL = 1.5
-_NEGLIGIBLE = 1e-3  # hypotheses of less probability are left out of the marginals
-_MIN_ANGLE = 1e-4
 # least share of the image's own belief in a region from a posterior. Chosen on seeds 20 to 22 of redkitchen `blocks`
 # and 20 of the demo
 _MIN_SHARE = 0.02
@@ -94,25 +86,9 @@ class Beliefs:
         mixtures = [posterior.with_image(mixture, _MIN_SHARE) for posterior, mixture in pairs]
         return Beliefs(self.proba, mixtures, self.estimates)
 
-    def marginals(self, bins: QuantileBins, cells: QuantileBins, sign_reference: FloatArray) -> list[FloatArray]:
-        """Seven arrays (n, cells) of probabilities whose rows sum to one, over the :func:`belief_cells` of the bins."""
-        blocks = [np.zeros((len(p), k)) for p, k in zip(self.proba, cells.sizes, strict=True)]
-        for block, p, coarse, fine in zip(blocks, self.proba, bins.edges_, cells.edges_, strict=True):
-            n = np.diff(np.searchsorted(fine, coarse))  # cells of each bin
-            block[:, BEYOND:-BEYOND] = np.repeat(p / n, n, axis=1)
-        for i, mixture in enumerate(self.mixtures):
-            counted = mixture.measured & (mixture.weights > _NEGLIGIBLE)
-            if not counted.any():
-                continue
-            weights = mixture.weights[counted]
-            places, sigmas = _as_targets(mixture, counted, sign_reference)
-            for block, edges, place, sigma in zip(blocks, cells.edges_, places.T, sigmas.T, strict=True):
-                below = _student_cdf((edges - place[:, None]) / sigma[:, None])
-                inside = below[:, 1:] - below[:, :-1]
-                np.maximum(inside, 0, out=inside)  # far away, rounding makes some negative
-                block[i] *= 1 - weights.sum()
-                block[i] += weights @ inside
-        return [block / block.sum(axis=1, keepdims=True) for block in blocks]
+    def marginals(self, cells: BeliefCells) -> list[FloatArray]:
+        """Seven arrays (n, cells) of probabilities whose rows sum to one."""
+        return cells.marginals(np.concatenate(self.proba, axis=1), self.mixtures)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +148,11 @@ class Localizer:
     @cached_property
     def cells(self) -> QuantileBins:
         """Cells of the beliefs' marginals."""
-        return belief_cells(self.bins, self.depth_m)
+        return divide_bins(self.bins, self.depth_m)
+
+    @cached_property
+    def _belief_cells(self) -> BeliefCells:
+        return BeliefCells.of(self.bins, self.cells, self.sign_reference)
 
     @cached_property
     def _anywhere(self) -> PoseMixture:
@@ -229,7 +209,15 @@ class Localizer:
 
     def marginals(self, beliefs: Beliefs) -> list[FloatArray]:
         """Seven arrays (n, cells), see :meth:`Beliefs.marginals`."""
-        return beliefs.marginals(self.bins, self.cells, self.sign_reference)
+        return beliefs.marginals(self._belief_cells)
+
+    def level_set(self, beliefs: Beliefs, score: Aps, limits: FloatArray) -> Regions | None:
+        """See :meth:`.cells.BeliefCells.level_set`, of one belief."""
+        [mixture], proba = beliefs.mixtures, np.concatenate(beliefs.proba, axis=1)[0]
+        mask = self._belief_cells.level_set(proba, mixture, score, limits)
+        if mask is None:
+            return None
+        return Regions(self.cells, self._belief_cells.by_target(mask[None]), np.isposinf(limits)[None])
 
     def supports(self, beliefs: Beliefs) -> list[Support]:
         """What supports the cuboids of each image's region: its hypotheses as cells."""
@@ -262,52 +250,3 @@ def recognised_only(estimates: Sequence[PoseMeasurement]) -> list[PoseMeasuremen
 def _best_sigma_m(estimates: Sequence[PoseMeasurement]) -> float:
     """Standard deviation of the best estimate that is probably an inlier; infinite without one."""
     return min((one.sigma_m for one in recognised_only(estimates)), default=math.inf)
-
-
-def belief_cells(bins: QuantileBins, depth_m: float = math.nan) -> QuantileBins:
-    """Cells that divide the bins, and wider and wider cells beyond them; edges of bins are edges of cells.
-
-    Those of positions are fine for the scene's median depth, if it is known: else a room has few of a building's cells.
-    """
-    least, growth, edges = max(1, -(-_CELLS // max(bins.sizes))), np.cumsum(_WIDER ** np.arange(1, BEYOND + 1)), []
-    for j, coarse in enumerate(bins.edges_):
-        widest = _WIDEST * depth_m if j < 3 and math.isfinite(depth_m) else math.inf
-        parts = [_divided(*ends, least, widest) for ends in zip(coarse[:-1].tolist(), coarse[1:].tolist(), strict=True)]
-        fine = np.append(np.concatenate(parts), coarse[-1])
-        steps = (fine[-1] - fine[0]) / (least * bins.sizes[j]) * growth
-        edges.append(np.concatenate((fine[0] - steps[::-1], fine, fine[-1] + steps)))
-    return QuantileBins.from_edges(edges)
-
-
-def _divided(low: float, high: float, least: int, widest: float) -> FloatArray:
-    """Lower edges of the cells of a bin."""
-    count = max(least, math.ceil(min((high - low) / widest, 1e9)))
-    if count <= 2 * _AT_EACH_END + _BETWEEN:
-        return np.linspace(low, high, count, endpoint=False)
-    end = widest * np.arange(_AT_EACH_END + 1)
-    return np.concatenate(
-        (low + end, np.linspace(low + end[-1], high - end[-1], _BETWEEN + 1)[1:-1], high - end[:0:-1])
-    )
-
-
-def _student_cdf(x: FloatArray) -> FloatArray:
-    """Student's t with three degrees of freedom: large errors are more common than under a normal distribution."""
-    scaled = x / math.sqrt(3)
-    ratio = scaled * scaled
-    ratio += 1
-    np.divide(scaled, ratio, out=ratio)
-    ratio += np.arctan(scaled, out=scaled)
-    ratio *= 1 / math.pi
-    ratio += 0.5
-    return ratio
-
-
-def _as_targets(mixture: PoseMixture, rows: BoolArray, sign_reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Hypotheses as targets and their standard deviations, (m, 7) each."""
-    quats = fix_sign(mixture.orientations_quat_wxyz[rows], sign_reference)
-    # a rotation by a small angle moves a unit quaternion by half of it, orthogonally to itself
-    angle = mixture.orientation_spreads_rad[rows, None] / 2 * np.sqrt(np.maximum(1 - quats**2, _MIN_ANGLE))
-    return (
-        np.concatenate((mixture.positions_xyz[rows], quats), axis=1),
-        np.concatenate((mixture.position_spreads[rows], angle), axis=1),
-    )

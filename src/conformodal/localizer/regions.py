@@ -83,13 +83,15 @@ class PoseRegions(Regions):
         self.boxes: list[IntArray] = []  # (b, 7, 2): first cell and one past the last
         projections = [np.zeros_like(mask) for mask in self.masks]
         for i, (support, limit) in enumerate(zip(self.supports, limits, strict=True)):
-            boxes = _supported(super().runs(i), support, [mask[i] for mask in self.masks], limit)
+            boxes = _supported(super().runs(i), support, limit)
             self.boxes.append(boxes)
-            for j, mask in enumerate(projections):
-                for low, high in boxes[:, j]:
+            for box in boxes.tolist():
+                for mask, (low, high) in zip(projections, box, strict=True):
                     mask[i, low:high] = True
         if not product:
-            self.masks = [mask | self.unbounded[:, j, None] for j, mask in enumerate(projections)]
+            for mask, whole in zip(projections, self.unbounded.T, strict=True):
+                mask[whole] = True
+            self.masks = projections
 
     def __getitem__(self, index: slice | BoolArray | npt.NDArray[np.integer]) -> PoseRegions:
         """Regions of some of the images: a slice, a boolean mask or an array of positions."""
@@ -156,14 +158,15 @@ def boxes_hold(boxes: FloatArray, point: FloatArray) -> bool:
     return bool(((boxes[..., 0] <= point) & (point <= boxes[..., 1])).all(axis=1).any())
 
 
-def _supported(runs: list[IntArray], support: Support, masks: list[BoolArray], limit: float) -> IntArray:
+def _supported(runs: list[IntArray], support: Support, limit: float) -> IntArray:
     """The cuboids (b, 7, 2) that hypotheses support, that of the most probable one first."""
-    inside = np.all([mask[at] for mask, at in zip(masks, support.cells.T, strict=True)], axis=0)
-    cells = support.cells[inside & (support.levels <= limit)]
-    if not len(cells):
+    cells = support.cells[support.levels <= limit]
+    if not len(cells) or not all(map(len, runs)):
         return np.empty((0, len(runs), 2), dtype=np.int64)
+    # the last run that starts at or before a hypothesis' cell holds it, or none does
     columns = zip(runs, cells.T, strict=True)
     boxes = np.stack([run[np.searchsorted(run[:, 0], at, side="right") - 1] for run, at in columns], axis=1)
+    boxes = boxes[((boxes[..., 0] <= cells) & (cells < boxes[..., 1])).all(axis=1)]
     first = {box.tobytes(): i for i, box in reversed(list(enumerate(boxes)))}  # numpy.unique takes most of the time
     return np.asarray(boxes[sorted(first.values())])
 
@@ -175,7 +178,13 @@ def pose_regions(
 
     `proba` are seven arrays (n, cells), see :meth:`~conformodal.localizer.localizer.Beliefs.marginals`.
     """
-    sets = rule.regions_at(BinProbabilities(proba), thresholds)
+    return supported_regions(rule, rule.regions_at(BinProbabilities(proba), thresholds), supports, thresholds)
+
+
+def supported_regions(
+    rule: SplitConformal, sets: Regions, supports: Sequence[Support], thresholds: RealArray
+) -> PoseRegions:
+    """The same from the product of the targets' sets."""
     limits = np.broadcast_to(thresholds, sets.unbounded.shape)
     limits = limits.min(axis=1) if _in_shares(rule) else np.full(len(sets), np.inf)
     return PoseRegions(sets, supports, limits, product=rule.joint != "max")
@@ -327,21 +336,32 @@ class RegionRules:
         Disturbed images have at least the finite thresholds of the types that they would have otherwise: an image may
         as well leave the range of qualities by chance.
         """
-        limits = np.full((len(kinds), self.overall.bins.n_targets), np.inf)
-        calibrated = np.where(kinds == EvidenceType.WEAK, EvidenceType.LANDMARKS, kinds)
-        for kind, rule in self.by_type.items():
-            limits[calibrated == kind] = rule.thresholds_
-            for room, own in self._by_room.get(kind, {}).items() if rooms is not None else ():
-                limits[(calibrated == kind) & (rooms == room)] = own
-        for kind, others in _AT_LEAST.items():
-            rows = kinds == kind
-            for other in self.by_type.keys() & others:
-                alone = {} if rooms is None else self._by_room.get(other, {})
-                every = self.by_type[other].thresholds_
-                least = every if rooms is None else [alone.get(room, every) for room in rooms[rows].tolist()]
-                least = np.reshape(np.where(np.isfinite(least), least, -np.inf), (-1, limits.shape[1]))
-                limits[rows] = np.maximum(limits[rows], least)
-        return limits
+        places = [None] * len(kinds) if rooms is None else rooms.tolist()
+        limits = [self._threshold(kind, room) for kind, room in zip(kinds.tolist(), places, strict=True)]
+        return np.reshape(limits, (-1, self.overall.bins.n_targets))
+
+    def _threshold(self, kind: int, room: int | None) -> RealArray:
+        """(7,) thresholds of an evidence type, of all rooms if none is given."""
+        known = self._thresholds
+        if (kind, room) not in known:
+            calibrated = EvidenceType.LANDMARKS if kind == EvidenceType.WEAK else EvidenceType(kind)
+            limit = self._own_threshold(calibrated, room)
+            for other in self.by_type.keys() & _AT_LEAST.get(EvidenceType(kind), set()):
+                least = self._own_threshold(other, room)
+                limit = np.maximum(limit, np.where(np.isfinite(least), least, -np.inf))
+            known[kind, room] = limit
+        return known[kind, room]
+
+    @cached_property
+    def _thresholds(self) -> dict[tuple[int, int | None], RealArray]:
+        return {}
+
+    def _own_threshold(self, kind: EvidenceType, room: int | None) -> RealArray:
+        """(7,) thresholds of a type without regard to others."""
+        if kind not in self.by_type:
+            return np.full(self.overall.bins.n_targets, np.inf)
+        every = self.by_type[kind].thresholds_
+        return every if room is None else self._by_room.get(kind, {}).get(room, every)
 
     def at(self, alpha: Alpha) -> RegionRules:
         """The same calibration at another miscoverage rate: regions at a lower rate contain those at a higher one."""

@@ -21,9 +21,10 @@ from conformodal.geometry import RelativeMotion
 from conformodal.io import Disturbance, SplitKind
 from conformodal.io.decoding import grey_image
 from conformodal.localizer.carrying import FeatureStream, StreamFrame
+from conformodal.localizer.cells import divide_bins
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
-from conformodal.localizer.localizer import Beliefs, Localizer, belief_cells
+from conformodal.localizer.localizer import Beliefs, Localizer
 from conformodal.localizer.observations import MotionPrior, Observations, Posterior
 from conformodal.localizer.regions import EvidenceType, PlaceNovelty, RegionRules, pose_scores
 from conformodal.localizer.rooms import Rooms, part_of
@@ -90,7 +91,7 @@ def calibrate_regions(
     level = 0.0 if novelty is None else novelty.level(config.novelty_level)
     recognised = np.concatenate([one.recognised for one in beliefs]) if local else None
     units = None if folds.units is None else folds.units[folds.held_out]
-    cells = belief_cells(data.bins_of(folds.region_frames), data.depth.median_m)
+    cells = divide_bins(data.bins_of(folds.region_frames), data.depth.median_m)
     rule = SplitConformal(cells, config.alpha, config.score, config.joint)
     scale: npt.ArrayLike = 1.0
     if getattr(rule.score_, "per_unit", False) and rule.joint == "max":

@@ -13,6 +13,7 @@ import numpy as np
 
 from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.checks import Alpha
+from conformodal.conformal.scores import Aps
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, UInt8Array, evenly_spread
 from conformodal.core.ranges import check_ranges
 from conformodal.core.words import counted
@@ -32,6 +33,7 @@ from conformodal.localizer.regions import (
     Support,
     pose_regions,
     pose_scores,
+    supported_regions,
 )
 from conformodal.localizer.rooms import Rooms, thresholds_by_room
 from conformodal.localizer.sources.landmarks import LandmarkSource
@@ -343,6 +345,10 @@ class PoseModel:
         self, rule: SplitConformal, beliefs: Beliefs, supports: Sequence[Support], thresholds: RealArray
     ) -> PoseRegions:
         """Level sets of n beliefs at thresholds (n, 7) of the score."""
+        if len(beliefs) == 1 and type(rule.score_) is Aps:  # as for each frame of a stream
+            near = self.localizer.level_set(beliefs, rule.score_, thresholds[0])
+            if near is not None:
+                return supported_regions(rule, near, supports, thresholds)
         chunks = self.localizer.marginals_by_part(beliefs)
         parts = [pose_regions(rule, proba, supports[rows], thresholds[rows]) for rows, proba in chunks]
         return parts[0] if len(parts) == 1 else PoseRegions.concatenate(parts)

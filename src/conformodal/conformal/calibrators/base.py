@@ -155,19 +155,22 @@ class Calibrator:
         limits, (n, d) = as_scores(thresholds, "thresholds"), (len(parts[0]), self.bins.n_targets)
         if limits.shape not in ((d,), (n, d)):
             raise ConformodalError(f"there must be thresholds for {n} rows of {d} targets, got shape {limits.shape}")
+        unbounded = np.array(np.broadcast_to(np.isposinf(limits), (n, d)))
+        if n == 1 and type(self.score_) is Aps and self.empty != "mode":  # as for each frame of a stream
+            starts = np.concatenate(([0], np.cumsum(self.bins.sizes)[:-1]))
+            row, widths = np.concatenate(parts, axis=1)[0], np.concatenate(self.bins.widths)
+            mask = self.score_.level_set(row, widths, limits.reshape(d), starts)
+            return Regions(self.bins, np.split(mask[None], starts[1:], axis=1), unbounded)
         masks = []
         for part, limit, widths in zip(parts, limits.T[..., None], self.bins.widths, strict=True):
             mask = np.empty(part.shape, dtype=bool)
             for rows in blocks(n):
-                if n == 1 and type(self.score_) is Aps and self.empty != "mode":
-                    mask[0] = self.score_.level_set(part[0], widths, float(np.ravel(limit)[0]))
-                    continue
                 scores = self.scores_of(part[rows], widths)
                 np.less_equal(scores, limit if limits.ndim == 1 else limit[rows], out=mask[rows])
                 if self.empty == "mode":
                     mask[rows][np.arange(len(scores)), scores.argmin(axis=1)] |= ~mask[rows].any(axis=1)
             masks.append(mask)
-        return Regions(self.bins, masks, np.array(np.broadcast_to(np.isposinf(limits), (n, d))))
+        return Regions(self.bins, masks, unbounded)
 
     def scores_of(self, part: RealArray, widths: FloatArray) -> RealArray:
         """Scores of all bins for rows (n, K) of one target's probabilities."""
