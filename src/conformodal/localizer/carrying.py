@@ -162,6 +162,12 @@ class FeatureStream:
             self._detection.advance()
         return followed._replace(busy=matches or self._detection is not None)
 
+    def skip(self, motion: RelativeMotion | None) -> None:
+        """Pass over the next frame, which moved like this from the one before, without a look."""
+        if self._turns is not None:
+            self._turns.advance(motion)
+        self._anchor = self._detection = None
+
     def _is_due(self, frame: StreamFrame) -> bool:
         """Whether local features are to be detected in a frame that was followed."""
         if frame.timestamp_s - self._detected_s >= self._settings.detect_every_s or self._anchor is None:

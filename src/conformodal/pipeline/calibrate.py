@@ -20,7 +20,7 @@ from conformodal.features.local import LocalFeatures, QualityRange
 from conformodal.geometry import RelativeMotion
 from conformodal.io import Disturbance, SplitKind
 from conformodal.io.decoding import grey_image
-from conformodal.localizer.carrying import FeatureStream, StreamFrame
+from conformodal.localizer.carrying import CarrySettings, FeatureStream, StreamFrame
 from conformodal.localizer.cells import divide_bins
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
@@ -77,7 +77,7 @@ def calibrate_regions(
         look = partial(beliefs_of_streams, data, folds.units, motions)
         beliefs = [look(fold.held_out, by) for fold, by in pairs]
         # where corners are followed, a place is as strongly recognised as when they were detected: the novelty test is
-        # calibrated on how strongly it is in frames in which they are
+        # calibrated on how strongly it is in frames in which they are, as often as a run detects them
         detected = [look(fold.held_out, by, carries=False) for fold, by in pairs] if carries else beliefs
     else:
         beliefs = detected = [by.beliefs(_evidence(data, fold.held_out, local=local)) for fold, by in pairs]
@@ -121,14 +121,25 @@ def beliefs_of_streams(
     *,
     carries: bool = True,
 ) -> Beliefs:
-    """The beliefs about held-out frames, each stretch looked at as a stream, see :class:`.carrying.FeatureStream`."""
+    """The beliefs about held-out frames, each stretch looked at as a stream, see :class:`.carrying.FeatureStream`.
+
+    Unless it `carries`, frames are looked at by themselves, as often as a run detects local features; those between
+    have the belief about the one before.
+    """
 
     def of_stretch(rows: IntArray) -> list[Beliefs]:
-        stream, beliefs = FeatureStream(localizer, data.sequence.camera, data.detector, carries=carries), []
+        stream = FeatureStream(localizer, data.sequence.camera, data.detector, carries=carries)
+        beliefs, looked_s = list[Beliefs](), -np.inf
         for frame in held_out[rows].tolist():
             raise_if_cancelled()
+            time_s = float(data.sequence.timestamps_s[frame])
+            if not carries and time_s - looked_s < CarrySettings().detect_every_s:
+                stream.skip(motions[frame])
+                beliefs.append(beliefs[-1])
+                continue
+            looked_s = time_s
             [upright] = data.local_features(np.array([frame]))
-            grey, time_s = grey_image(data.sequence.image(frame)), float(data.sequence.timestamps_s[frame])
+            grey = grey_image(data.sequence.image(frame))
 
             def detect(
                 turn_rad: float, frame: int = frame, upright: LocalFeatures = upright
