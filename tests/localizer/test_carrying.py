@@ -93,6 +93,20 @@ def test_corners_are_followed_between_detections_whose_matches_come_one_frame_la
         np.testing.assert_allclose(np.median(np.abs(landmarks - pixels - (STEP_PX * k, 0)), axis=0), 0, atol=0.1)
 
 
+def test_corners_that_were_followed_beside_others_are_taken():
+    camera, shifted = Camera(Wall()), Camera(Wall())
+    for one in (camera, shifted):
+        assert one.stream.corners_to_follow(0.0) is None
+        one.look(0)
+    image, pixels = camera.stream.corners_to_follow(STEP_S)
+    assert camera.stream.corners_to_follow(1.0) is None  # too far away in time
+    followed = carrying.follow_corners(image, wall(1), pixels)
+    expected = camera.look(1).features.pixels
+    frame = StreamFrame(wall(1), STEP_S, None, NO_FLOW, followed._replace(pixels=followed.pixels + 0.25))
+    look = shifted.stream.look(frame, None)
+    np.testing.assert_allclose(look.features.pixels, expected + 0.25, atol=1e-5)
+
+
 def test_each_frame_does_a_part_of_the_work_and_the_one_after_the_last_matches():
     source = Wall()
     camera = Camera(source, n_parts=3, settings=CarrySettings(detect_every_s=4.5 * STEP_S))

@@ -6,6 +6,7 @@ from conformodal.corridor.flight import rotation_world_cam
 from conformodal.corridor.render import Renderer
 from conformodal.corridor.world import CorridorWorld
 from conformodal.geometry import MotionStatus, PinholeCamera
+from conformodal.io.decoding import grey_image
 from conformodal.tracking.relative_pose import (
     DIRECTION_FACTOR,
     ROTATION_FACTOR,
@@ -15,7 +16,7 @@ from conformodal.tracking.relative_pose import (
     solve_opencv,
     solve_poselib,
 )
-from conformodal.tracking.tracker import MotionFrontEnd
+from conformodal.tracking.tracker import CornerTracker, ImageCorners, MotionFrontEnd, follow_corners
 
 CAMERA = PinholeCamera(500, 510, 320, 240, 640, 480)
 
@@ -100,6 +101,22 @@ def test_front_end_agrees_with_the_exact_poses_of_the_corridor():
         assert np.degrees(turn) < 2
         truth = relative[:3, 3] / np.linalg.norm(relative[:3, 3])
         assert motion.direction_prev @ truth > np.cos(np.radians(25))
+
+
+def test_corners_are_followed_beside_those_of_the_tracker_as_alone():
+    first, second = (grey_image(image) for image in flight(2)[1])
+    others = np.array([[30.5, 40.0], [60.0, 52.25], [-5.0, 3.0]], np.float32)
+    alone, both = CornerTracker(), CornerTracker()
+    for tracker in (alone, both):
+        tracker.advance(first)
+        tracker.mark()
+    alone.advance(second)
+    both.advance(second, ImageCorners(first, others))
+    np.testing.assert_array_equal(both.pairs(), alone.pairs())
+    for found, expected in zip(both.beside, follow_corners(first, second, others), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    both.advance(first, ImageCorners(first, others))  # not those of the frame before
+    assert both.beside is None
 
 
 def test_black_blank_and_cut_frames_do_not_break_the_stream():

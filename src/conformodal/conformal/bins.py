@@ -163,11 +163,10 @@ class QuantileBins:
         """Codes of the bins that hold `y`: (n, d) integers, -1 outside the edges."""
         edges = self._edges()
         arr = as_targets(y, n_targets=len(edges))
-        codes = np.empty(arr.shape, dtype=np.int64)
-        for j, e in enumerate(edges):
-            codes[:, j] = np.searchsorted(e, arr[:, j], side="right") - 1
-            codes[arr[:, j] == e[-1], j] = e.size - 2
-            codes[codes[:, j] > e.size - 2, j] = -1
+        columns = [np.searchsorted(e, column, side="right") for e, column in zip(edges, arr.T, strict=True)]
+        codes, last = np.stack(columns, axis=1) - 1, np.array([e.size - 2 for e in edges])
+        codes = np.where(arr == [e[-1] for e in edges], last, codes)
+        codes[codes > last] = -1
         return codes
 
     def proba_from_cdf(

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from inspect import signature
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -70,6 +72,16 @@ def matrix_from_quat_wxyz(quats_wxyz: npt.ArrayLike) -> FloatArray:
         return np.asarray(Rotation.from_quat(np.asarray(quats_wxyz, dtype=np.float64), scalar_first=True).as_matrix())
     except ValueError as exc:
         raise PoseError(f"quaternions are not rotations: {exc}") from exc
+
+
+# SciPy checks matrices for five times as long as it converts them; from 1.17 on it can be told that they are rotations
+_CAN_TRUST = "assume_valid" in signature(Rotation.from_matrix).parameters
+_TRUSTED: dict[str, Any] = {"assume_valid": True} if _CAN_TRUST else {}
+
+
+def trusted_rotation(matrices: FloatArray) -> Rotation:
+    """Rotations of matrices (..., 3, 3) that are known to be rotations, but for rounding."""
+    return Rotation.from_matrix(matrices, **_TRUSTED)
 
 
 def normalise_quat(quats: npt.ArrayLike) -> FloatArray:

@@ -19,7 +19,7 @@ import numpy as np
 from conformodal.core.arrays import Float32Array, FloatArray, IntArray, UInt8Array, evenly_spread
 from conformodal.features.local import Detector, LocalFeatures, QualityRange, image_quality
 from conformodal.geometry import PinholeCamera, RelativeMotion
-from conformodal.tracking.tracker import follow_corners
+from conformodal.tracking.tracker import FollowedCorners, ImageCorners, follow_corners
 
 from .evidence import LandmarkView, PoseMeasurement
 from .localizer import Localizer, recognised_only
@@ -50,6 +50,7 @@ class StreamFrame(NamedTuple):
     timestamp_s: float
     motion: RelativeMotion | None  # from the frame before; None where nothing is known of it
     flow: FloatArray  # (2, 3) pixels per second, see conformodal.tracking.tracker.affine_flow
+    followed: FollowedCorners | None = None  # the corners to follow in this frame, if they were followed before
 
 
 class FrameLook(NamedTuple):
@@ -129,6 +130,13 @@ class FeatureStream:
         # of the frame before, and when features were detected last
         self._timestamp_s = self._detected_s = -math.inf
 
+    def corners_to_follow(self, timestamp_s: float) -> ImageCorners | None:
+        """The corners that :meth:`look` will follow into the next frame, if they are of the one before."""
+        anchor = self._anchor
+        if anchor is None or self._matches_at(timestamp_s) or not self._is_near(anchor, timestamp_s):
+            return None
+        return ImageCorners(anchor.grey, anchor.pixels)
+
     def look(self, frame: StreamFrame, detect: Callable[[float], Iterator[LocalFeatures | None]]) -> FrameLook:
         """Look at the next frame; `detect` gives its local features, the image turned by an angle in radians.
 
@@ -139,7 +147,7 @@ class FeatureStream:
             self._turns.advance(frame.motion)
         if self._source is None:
             return FrameLook(_Detection(frame, detect(self._turn_rad)).finish())
-        anchors, matches = [self._anchor], self._matches_in(frame)
+        anchors, matches = [self._anchor], self._matches_at(frame.timestamp_s)
         if self._detection is not None and matches:
             features = self._detection.finish()
             fresh = self._anchor_at(self._detection.frame, features, self._source.localize(features))
@@ -174,15 +182,15 @@ class FeatureStream:
             return True
         return len(self._anchor.pixels) < self._settings.renew_share * self._anchor.n_followed
 
-    def _matches_in(self, frame: StreamFrame) -> bool:
-        """Whether a detected frame's features are to be matched in this one: once all parts of the work are done.
+    def _matches_at(self, timestamp_s: float) -> bool:
+        """Whether a detected frame's features are to be matched in the one of this time: once all parts are done.
 
         Earlier, if the next frame would be too late.
         """
         if self._detection is None:
             return False
-        now_s, step_s = frame.timestamp_s, frame.timestamp_s - self._timestamp_s
-        late = now_s + step_s - self._detection.frame.timestamp_s > self._settings.max_delay_s
+        step_s = timestamp_s - self._timestamp_s
+        late = timestamp_s + step_s - self._detection.frame.timestamp_s > self._settings.max_delay_s
         return late or self._detection.n_done >= self._n_parts
 
     def _detect(self, frame: StreamFrame, detect: Callable[[float], Iterator[LocalFeatures | None]]) -> _Detection:
@@ -214,14 +222,18 @@ class FeatureStream:
         pixels = self._camera.distort(features.pixels[corners]).astype(np.float32)
         return _Anchor(frame.grey, frame.timestamp_s, pixels, _rows_of(view, corners), recognised[0], len(corners))
 
+    def _is_near(self, anchor: _Anchor, timestamp_s: float) -> bool:
+        """Whether corners can be followed into a frame of this time."""
+        return 0 < timestamp_s - anchor.timestamp_s <= self._settings.max_step_s
+
     def _followed(self, frame: StreamFrame, anchor: _Anchor, source: CarriesLandmarks) -> FrameLook | None:
         """The look at a frame with the corners of one before; None where too few can be followed."""
-        if not 0 < frame.timestamp_s - anchor.timestamp_s <= self._settings.max_step_s:
+        if not self._is_near(anchor, frame.timestamp_s):
             return None
         quality = image_quality(frame.grey)
         if self._quality is not None and self._quality.is_outside(quality[None])[0]:
             return None
-        there, alive = follow_corners(anchor.grey, frame.grey, anchor.pixels)
+        there, alive = frame.followed or follow_corners(anchor.grey, frame.grey, anchor.pixels)
         if alive.sum() < self._settings.min_corners:
             return None
         pixels = there[alive]

@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray
 from conformodal.geometry import RelativeMotion
+from conformodal.geometry.poses import trusted_rotation
 
 from .mixtures import MAX_HYPOTHESES, PoseMixture, Share, pool
 from .observations import PLACE_RAD, MotionPrior, Observations, Posterior, rotation_sigma
@@ -82,7 +83,7 @@ def predict(
     measured, jump = False, _JUMP
     if motion is not None and motion.R_prev_next is not None:
         measured, jump = True, _FOLLOWED_JUMP
-        rotation = Rotation.from_matrix(motion.R_prev_next)
+        rotation = trusted_rotation(motion.R_prev_next)
         along = rotation.inv() if back else rotation
         turned = (Rotation.from_quat(quats, scalar_first=True) * along).as_quat(scalar_first=True)
         sharp = np.minimum(np.hypot(spreads, rotation_sigma(motion)), np.pi)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import FloatArray
 from conformodal.geometry import RelativeMotion
+from conformodal.geometry.poses import trusted_rotation
 
 from .evidence import PoseMeasurement
 from .localizer import Localizer, recognised_only
@@ -40,7 +41,7 @@ class TurnTracker:
     def advance(self, motion: RelativeMotion | None) -> None:
         """Go on to the next image, `motion` after the one before."""
         if self._position_xyz is not None and motion is not None and motion.R_prev_next is not None:
-            self._rotation = self._rotation * Rotation.from_matrix(motion.R_prev_next)
+            self._rotation = self._rotation * trusted_rotation(motion.R_prev_next)
 
     @property
     def turn_rad(self) -> float:

@@ -21,7 +21,7 @@ from conformodal.localizer.filter import PoseFilter, Window, hindsight_posterior
 from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.observations import MotionPrior, choose_places, find_places
 from conformodal.localizer.regions import EvidenceType, PoseRegions
-from conformodal.tracking.tracker import MotionFrontEnd, affine_flow
+from conformodal.tracking.tracker import ImageCorners, MotionFrontEnd, affine_flow
 
 from .config import Method, OdometryError
 from .estimates import Estimate
@@ -86,7 +86,7 @@ class VisualOdometry(Odometry):
 
     def _answer(self, image: UInt8Array, timestamp_s: float) -> Estimate:
         grey = grey_image(image)  # once for tracker and local features
-        motion = self._motion(grey)
+        motion = self._motion(grey, self._stream.corners_to_follow(timestamp_s))
         evidence = FrameEvidence(partial(self._features, image))
         carried = False
         if self.model.looks_at_local_features:
@@ -101,12 +101,13 @@ class VisualOdometry(Odometry):
         """The local features of the next frame."""
         flow = self._flow(timestamp_s)
         detect = partial(self._detect, grey, flow)
-        return self._stream.look(StreamFrame(grey, timestamp_s, motion, flow), detect)
+        followed = self._front_end.tracker.beside
+        return self._stream.look(StreamFrame(grey, timestamp_s, motion, flow, followed), detect)
 
     # ---- what is measured in an image; a recording that was looked at before has it already
 
-    def _motion(self, grey: UInt8Array) -> RelativeMotion | None:
-        return self._front_end.measure(grey)
+    def _motion(self, grey: UInt8Array, beside: ImageCorners | None) -> RelativeMotion | None:
+        return self._front_end.measure(grey, beside)
 
     def _features(self, image: UInt8Array) -> Float32Array:
         return self.model.backbone.features_of(image)

@@ -32,6 +32,7 @@ from conformodal.localizer.rooms import Rooms
 from conformodal.localizer.sources.growing import GrowsWithFrames
 from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.depths import SceneDepth
+from conformodal.tracking.tracker import ImageCorners
 
 from .calibrate import PathScores, make_path_rule
 from .config import Method, OdometryError
@@ -213,7 +214,7 @@ class _Replay(VisualOdometry):
         self._frame += 1
         return super()._answer(image, timestamp_s)
 
-    def _motion(self, grey: UInt8Array) -> RelativeMotion | None:
+    def _motion(self, grey: UInt8Array, beside: ImageCorners | None) -> RelativeMotion | None:
         return self._motions[self._frame]
 
     def _features(self, image: UInt8Array) -> Float32Array:

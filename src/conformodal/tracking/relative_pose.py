@@ -14,11 +14,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import poselib
-from scipy.spatial.transform import Rotation
 
 from conformodal.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from conformodal.geometry import MotionStatus, PinholeCamera, RelativeMotion, cross_matrices
 from conformodal.geometry.adjustment import MAD_OF_NORMAL, MEDIAN_OF_NORM2
+from conformodal.geometry.poses import trusted_rotation
 
 MIN_TRACKS = 16  # tracked corners
 _MIN_INLIER_SHARE = 0.5
@@ -153,7 +153,7 @@ def _two_view_motion(pairs: _Pairs, cells: IntArray, pixel: float, camera: Pinho
         directions = np.array([way.direction_prev for way in ways[:2]])
         if len(ways) > 1 and _angles(directions[:1], directions[1:])[0] > _PLANE_AMBIGUITY_RAD:
             # the rotation is one of two as well: as uncertain as they differ
-            apart = Rotation.from_matrix(ways[0].R_prev_next.T @ ways[1].R_prev_next).magnitude()
+            apart = trusted_rotation(ways[0].R_prev_next.T @ ways[1].R_prev_next).magnitude()
             status, rotation_sigma = MotionStatus.PLANE, float(np.hypot(rotation_sigma, apart))
     ok = status is MotionStatus.OK
     direction_sigma = spread.direction if ok else np.inf

@@ -36,6 +36,7 @@ _ESSENTIAL_CORNERS = 5  # that an essential matrix needs
 LONGEST_FLOW_S = 0.2  # between frames: what moved before says little about now
 _MIN_FLOW_CORNERS = 16
 _FLOW_ITERATIONS = 6
+_RIDGE, _DIAGONAL = 1e-10, np.diag_indices(3)  # corners on one line tell nothing of the flow beside it
 _MIN_FLOW_PX = 0.1  # scale of the residuals, at least
 
 
@@ -46,8 +47,22 @@ class TrackedCorners(NamedTuple):
     pixels: Float32Array  # (n, 2)
 
 
-def follow_corners(previous: UInt8Array, image: UInt8Array, pixels: Float32Array) -> tuple[Float32Array, BoolArray]:
-    """Pixels (n, 2), n > 0, of one grey image in the next, and whether each comes back to its start from there."""
+class ImageCorners(NamedTuple):
+    """Corners of a grey image."""
+
+    image: UInt8Array  # (height, width)
+    pixels: Float32Array  # (n, 2)
+
+
+class FollowedCorners(NamedTuple):
+    """Corners of one grey image in the next."""
+
+    pixels: Float32Array  # (n, 2)
+    alive: BoolArray  # (n,) whether each comes back to its start from there
+
+
+def follow_corners(previous: UInt8Array, image: UInt8Array, pixels: Float32Array) -> FollowedCorners:
+    """Follow pixels (n, 2), n > 0, of one grey image into the next."""
     options: dict[str, Any] = {"winSize": (_WINDOW_PX, _WINDOW_PX), "criteria": _UNTIL}
     start = pixels[:, None]
     there, tracked, _ = cv2.calcOpticalFlowPyrLK(previous, image, start, start.copy(), maxLevel=_LEVELS, **options)
@@ -59,7 +74,7 @@ def follow_corners(previous: UInt8Array, image: UInt8Array, pixels: Float32Array
     alive = (tracked[:, 0] == 1) & (tracked_back[:, 0] == 1)
     alive &= np.linalg.norm(back - pixels, axis=1) <= _MAX_BACK_ERROR_PX
     alive &= (there >= 0).all(axis=1) & (there <= (width - 1, height - 1)).all(axis=1)
-    return np.asarray(there, np.float32), np.asarray(alive, np.bool_)
+    return FollowedCorners(np.asarray(there, np.float32), np.asarray(alive, np.bool_))
 
 
 class CornerTracker:
@@ -72,6 +87,7 @@ class CornerTracker:
     # pixels (n, 2) of the corners in the frame before the current one, and the same corners in this one
     step: tuple[Float32Array, Float32Array]
     n_at_mark: int  # corners at the marked frame
+    beside: FollowedCorners | None  # other corners that were followed into the current frame
 
     def __init__(self) -> None:
         self._n_ever = 0
@@ -85,19 +101,29 @@ class CornerTracker:
         self._ids: IntArray = np.empty(0, np.int64)
         self.step = self._now, self._now
         self.n_at_mark = self._n_renewed = 0
+        self.beside = None
 
     @property
     def started(self) -> bool:
         """Whether a frame has been seen."""
         return self._image is not None
 
-    def advance(self, image: UInt8Array) -> None:
-        """Follow the living corners into the next frame, and drop those that do not come back to their start."""
-        previous, self._image = self._image, image
-        if previous is None or len(self._now) == 0:
+    def advance(self, image: UInt8Array, beside: ImageCorners | None = None) -> None:
+        """Follow the living corners into the next frame, and drop those that do not come back to their start.
+
+        Other corners of the frame before are followed `beside`: both share the images' pyramids.
+        """
+        previous, self._image, self.beside = self._image, image, None
+        n = len(self._now)
+        if previous is None or n == 0:
             self.step = self._now, self._now
             return
-        there, alive = follow_corners(previous, image, self._now)
+        joined = beside is not None and beside.image is previous
+        pixels = np.concatenate((self._now, beside.pixels)) if beside is not None and joined else self._now
+        there, alive = follow_corners(previous, image, pixels)
+        if joined:
+            self.beside = FollowedCorners(there[n:], alive[n:])
+            there, alive = there[:n], alive[:n]
         self.step = self._now[alive], there[alive]
         self._now, self._marked, self._ids = there[alive], self._marked[alive], self._ids[alive]
 
@@ -152,7 +178,9 @@ def affine_flow(step: tuple[Float32Array, Float32Array], seconds: float, camera:
     weights = np.ones((len(now), 1))
     for _ in range(_FLOW_ITERATIONS):
         weighted = rows * weights**2
-        flow = np.linalg.lstsq(weighted.T @ rows, weighted.T @ shifts, rcond=None)[0]
+        information = weighted.T @ rows
+        information[_DIAGONAL] *= 1 + _RIDGE
+        flow = np.linalg.solve(information, weighted.T @ shifts)
         off = np.linalg.norm(shifts - rows @ flow, axis=1)
         weights = 1 / np.sqrt(1 + (off / (np.median(off) + _MIN_FLOW_PX)) ** 2)[:, None]
     return np.asarray(flow.T / seconds)
@@ -182,10 +210,13 @@ class FrontEnd(ABC):
         """Track corners through a frame (height, width[, 3]) without measuring a motion."""
         self.tracker.advance(grey_image(image))
 
-    def measure(self, image: UInt8Array) -> RelativeMotion | None:
-        """Motion from the frame measured last to this one; None for the first frame of a recording."""
+    def measure(self, image: UInt8Array, beside: ImageCorners | None = None) -> RelativeMotion | None:
+        """Motion from the frame measured last to this one; None for the first frame of a recording.
+
+        `beside` are corners of the frame before that are followed with those of the tracker.
+        """
         first = not self.tracker.started
-        self.tracker.advance(grey_image(image))
+        self.tracker.advance(grey_image(image), beside)
         self.tracks = None if first else self.tracker.pairs()
         motion = None if self.tracks is None else self._motion(*self.tracks)
         self.tracker.mark()
@@ -221,9 +252,9 @@ class MotionFrontEnd(FrontEnd):
             self._parts.append(self._since_mark(*pairs))
             self.tracker.mark()
 
-    def measure(self, image: UInt8Array) -> RelativeMotion | None:
+    def measure(self, image: UInt8Array, beside: ImageCorners | None = None) -> RelativeMotion | None:
         """As of the class above, but with status ``TOO_FEW`` if the first frame of a recording is blank."""
-        motion = super().measure(image)
+        motion = super().measure(image, beside)
         if motion is None and self.tracker.n_at_mark < MIN_TRACKS:
             return RelativeMotion(MotionStatus.TOO_FEW, n_tracks=self.tracker.n_at_mark)
         return motion

@@ -19,6 +19,7 @@ from conformodal.features.local import Descriptors, LocalFeatures, Matcher, matc
 from conformodal.geometry import PinholeCamera, rigid_motions
 from conformodal.geometry.adjustment import MAD_OF_NORMAL, MEDIAN_OF_NORM2
 from conformodal.geometry.map_poses import RigCalibration
+from conformodal.geometry.poses import trusted_rotation
 from conformodal.geometry.triangulation import local_origin
 from conformodal.localizer.evidence import LandmarkView, PoseMeasurement
 
@@ -310,7 +311,7 @@ class LandmarkMap:
         T_world_pose = T_world_cam @ np.linalg.inv(self.T_pose_cam)
         off, scatter, apart = self._correction(T_world_pose, shown)
         sigma_m, sigma_rad = np.hypot(sigmas, scatter).tolist()
-        turn = Rotation.from_rotvec(-off[3:]) * Rotation.from_matrix(T_world_pose[:3, :3])
+        turn = Rotation.from_rotvec(-off[3:]) * trusted_rotation(T_world_pose[:3, :3])
         position, quat = self.origin_xyz + T_world_pose[:3, 3] - off[:3], turn.as_quat(scalar_first=True)
         inliers = np.unique(solution.corners)
         shares = solution.inlier_share, self._share_of_image(image.pixels[inliers])
