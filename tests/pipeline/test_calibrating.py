@@ -121,6 +121,7 @@ def test_frames_that_are_lost_do_not_calibrate_regions_from_posteriors(monkeypat
         "Observations": lambda candidates, *_, known: SimpleNamespace(candidates=candidates),
         "filter_posteriors": lambda seen, prior: [posterior] * len(seen.candidates),
         "hindsight_posteriors": lambda seen, prior, forward: [lost, *forward[1:]],
+        "squared_error": lambda posterior, mixture, target, prior: 6.0 if posterior.lost else 3.0,
         "score_beliefs": lambda rule, localizer, beliefs, targets: np.repeat(score[beliefs.rows, None], 7, axis=1),
     }
     for name, stub in stubs.items():
@@ -137,6 +138,7 @@ def test_frames_that_are_lost_do_not_calibrate_regions_from_posteriors(monkeypat
     assert {path.longest_gap_s for path in paths.values()} == {0.3}
     online, hindsight = (paths[path].calibration for path in ("online", "hindsight"))
     np.testing.assert_array_equal(np.sort(online.scores_[:, 0]), score)
+    assert {error for path in paths.values() for error in path.squared} == {3.0}
     first = np.array([0, 100, 140, 154, 160])  # lost in hindsight
     np.testing.assert_array_equal(np.sort(hindsight.scores_[:, 0]), np.delete(score, first))
     assert float(hindsight.weight) == pytest.approx((np.array([100, 40, 14, 6]) - 1) @ (1 / np.array([100, 40, 14, 6])))

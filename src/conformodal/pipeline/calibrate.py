@@ -10,6 +10,7 @@ from typing import Self
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import SplitConformal
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, Rows, evenly_spread, rows_by_label
@@ -25,7 +26,8 @@ from conformodal.localizer.cells import divide_bins
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
 from conformodal.localizer.localizer import Beliefs, Localizer
-from conformodal.localizer.observations import MotionPrior, Observations, Posterior
+from conformodal.localizer.mixtures import PoseMixture
+from conformodal.localizer.observations import MotionPrior, Observations, Posterior, find_places
 from conformodal.localizer.regions import EvidenceType, PlaceNovelty, RegionRules, pose_scores
 from conformodal.localizer.rooms import Rooms, part_of
 from conformodal.localizer.training_data import TrainingData
@@ -36,6 +38,7 @@ from .folds import Folds
 from .model import HINDSIGHT, ONLINE, PATHS, PathRule, SourceComparison, path_rule
 
 _MAX_COMPARED = 120  # each is answered twice
+_MAX_SQUARED = 1e9  # error over its covariance: more is as wrong
 _MAX_DISTURBED, _DISTURBED_SEED = 200, 0  # calibration frames, and the seed of kinds and strengths
 
 
@@ -247,6 +250,7 @@ class PathScores(Rows):
     scores: RealArray  # (n, 7)
     lost: BoolArray  # (n,) whether the region is unbounded
     unseen_s: FloatArray  # (n,) to the nearest frame whose image shows a known place
+    squared: FloatArray  # (n,) squared errors of the chosen poses over the covariances of the posteriors
     rooms: IntArray  # (n,) by the posteriors; 0 where there is one
 
     @classmethod
@@ -256,16 +260,28 @@ class PathScores(Rows):
         beliefs: Beliefs,
         posteriors: Sequence[Posterior],
         targets: FloatArray,
+        prior: MotionPrior,
         rooms: Rooms | None,
     ) -> Self:
         """Of targets (n, 7), from beliefs about the images and posteriors."""
+        observed = zip(posteriors, beliefs.mixtures, targets, strict=True)
         rule, after = path_rule(localizer.cells, 0.1), beliefs.after(posteriors)  # no score depends on the rate
         return cls(
             score_beliefs(rule, localizer, after, targets),
             np.array([one.lost for one in posteriors]) | _out_of_range(localizer, after),
             np.array([one.unseen_s for one in posteriors]),
+            np.array([squared_error(one, image, target, prior) for one, image, target in observed]),
             np.zeros(len(targets), dtype=np.int64) if rooms is None else rooms.rooms_of(after.mixtures),
         )
+
+
+def squared_error(posterior: Posterior, image: PoseMixture, target: FloatArray, prior: MotionPrior) -> float:
+    """The squared error of the pose that is chosen from a posterior over its covariance, see Estimate.covariance."""
+    pose = find_places(posterior, prior)[0]
+    covariance = posterior.with_image(image).covariance(pose.position_xyz, pose.orientation_quat_wxyz)
+    truth, chosen = (Rotation.from_quat(quat, scalar_first=True) for quat in (target[3:], pose.orientation_quat_wxyz))
+    off = np.concatenate((target[:3] - pose.position_xyz, (truth * chosen.inv()).as_rotvec()))
+    return float(np.clip(off @ np.linalg.solve(covariance, off), 1 / _MAX_SQUARED, _MAX_SQUARED))
 
 
 def calibrate_paths(
@@ -314,7 +330,7 @@ def calibrate_paths(
         answered.append(held_out[rows])
         for path, each in posteriors.items():
             targets = data.targets[held_out[rows]]
-            scored[path].append(PathScores.of(localizer, beliefs.part(rows), each, targets, rooms))
+            scored[path].append(PathScores.of(localizer, beliefs.part(rows), each, targets, prior, rooms))
         start += len(held_out)
     of_units = None if units is None else units[np.concatenate(answered)]
     return {path: make_path_rule(rules.overall, PathScores.concatenate(p), of_units) for path, p in scored.items()}
@@ -326,7 +342,8 @@ def make_path_rule(overall: SplitConformal, scored: PathScores, units: IntArray 
     rule.calibrate_scores(scored.scores, units)
     found = ~scored.lost
     rooms = scored.rooms[found] if scored.rooms.any() else None
-    return PathRule(part_of(rule, found), float(scored.unseen_s[found].max(initial=0.0)), rooms)
+    longest_gap_s = float(scored.unseen_s[found].max(initial=0.0))
+    return PathRule(part_of(rule, found), longest_gap_s, scored.squared[found], rooms)
 
 
 def compare_sources(

@@ -47,6 +47,7 @@ class Estimate:
     # standard deviations of the most probable place; they grow while motion alone tells where the camera is
     position_spread_m: float | None = None
     orientation_spread_rad: float | None = None
+    variance_factor: float = 1.0  # of the posterior's covariance, calibrated on held-out streams
     posterior: Posterior | None = None  # hypotheses given all frames so far
     places: list[Place] = field(default_factory=list)  # that they make up, most probable first; the first is the pose
     path_region: PoseRegions | None = None  # calibrated region from all frames so far (length 1)
@@ -56,13 +57,15 @@ class Estimate:
     def covariance(self) -> FloatArray | None:
         """(6, 6) of the posterior about :attr:`pose`, all places together; None without an image.
 
-        For the axes see :meth:`~conformodal.localizer.mixtures.PoseMixture.covariance`. Where no hypothesis of the
-        posterior is right, those of the image alone stand.
+        It is calibrated where regions from all frames so far are, by :attr:`.model.PathRule.variance_factor`. For the
+        axes see :meth:`~conformodal.localizer.mixtures.PoseMixture.covariance`. Where no hypothesis of the posterior is
+        right, those of the image alone stand.
         """
         if self.pose is None or self.candidates is None:
             return None
         mixture = self.candidates if self.posterior is None else self.posterior.with_image(self.candidates)
-        return mixture.covariance(self.pose.position_xyz, self.pose.orientation_quat_wxyz)
+        moments = mixture.covariance(self.pose.position_xyz, self.pose.orientation_quat_wxyz)
+        return self.variance_factor * moments
 
     @property
     def revised(self) -> Trajectory | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -136,6 +137,9 @@ class VisualOdometry(Odometry):
         if best.probability < RELIABLE:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
         path_region = self.model.path_regions(localization, [posterior], ONLINE)
+        rule = self.model.path_rules.get(ONLINE)
+        variance_factor = 1.0 if rule is None else rule.variance_factor
+        spread_factor = math.sqrt(variance_factor)
         problems += self._doubts(localization.regions if path_region is None else path_region, best)
         if path_region is not None and not self._holds(localization.regions, best):  # a path may be sure and wrong
             problems.append("the pose lies outside of the image's region")
@@ -152,8 +156,9 @@ class VisualOdometry(Odometry):
             estimates=list(localization.beliefs.estimates[0]),
             known_p=None if np.isnan(known_p) else known_p,
             evidence=evidence,
-            position_spread_m=float(np.linalg.norm(best.position_spreads)),
-            orientation_spread_rad=best.orientation_spread_rad,
+            position_spread_m=spread_factor * float(np.linalg.norm(best.position_spreads)),
+            orientation_spread_rad=spread_factor * best.orientation_spread_rad,
+            variance_factor=variance_factor,
             posterior=posterior,
             places=places,
             tracks=self._front_end.tracks,

@@ -319,7 +319,7 @@ def _with_scores(
     posteriors[HINDSIGHT] = hindsight_posteriors(observed, model.prior, forward)
     path_rules = {}
     for path, before in model.path_rules.items():
-        scored = PathScores.of(model.localizer, beliefs, posteriors[path], targets, rooms)
+        scored = PathScores.of(model.localizer, beliefs, posteriors[path], targets, model.prior, rooms)
         path_rules[path] = _joined_path(before, make_path_rule(rules.overall, scored, units))
     return joined, path_rules
 
@@ -344,7 +344,8 @@ def _joined_path(one: PathRule, other: PathRule) -> PathRule:
             [np.zeros(len(p.scores_), np.int64) if r is None else r for p, r in zip(parts, each, strict=True)]
         )
     calibration = copy(one.calibration).calibrate_scores(scores, units, sizes)
-    return PathRule(calibration, max(one.longest_gap_s, other.longest_gap_s), rooms)
+    squared = np.concatenate((one.squared, other.squared))
+    return PathRule(calibration, max(one.longest_gap_s, other.longest_gap_s), squared, rooms)
 
 
 def _with_references(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -10,11 +11,12 @@ from typing import Any, Self
 
 import cv2
 import numpy as np
+from scipy.special import gammaincinv
 
-from conformodal.conformal import QuantileBins, SplitConformal
+from conformodal.conformal import QuantileBins, SplitConformal, conformal_quantile, hierarchical_quantile
 from conformodal.conformal.checks import Alpha
 from conformodal.conformal.scores import Aps
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, UInt8Array, evenly_spread
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, UInt8Array, evenly_spread, rows_by_label
 from conformodal.core.ranges import check_ranges
 from conformodal.core.words import counted
 from conformodal.features.backbone import Backbone
@@ -90,7 +92,27 @@ class PathRule:
     calibration: SplitConformal
     # from a calibration frame to the nearest whose image shows a known place: posteriors beyond are not calibrated
     longest_gap_s: float
+    # (n,) squared errors of the pose of each calibration frame over the covariance of its posterior
+    squared: FloatArray
     rooms: IntArray | None = None  # (n,) room of each calibration frame by its posterior; None where there is one
+
+    @cached_property
+    def variance_factor(self) -> float:
+        """Factor of covariances whose ellipsoid of 1 - alpha then holds as many poses as regions do.
+
+        The ellipsoid is that of a normal error: squared errors over the covariance are below the quantile of the
+        chi-squared law with six degrees of freedom. It has the guarantee of the regions, unless too few frames
+        calibrate for a finite quantile: then it is as large as the largest of their errors asks.
+        """
+        rule = self.calibration
+        if rule.units_ is None:
+            limit = float(conformal_quantile(self.squared, rule.alpha))
+        else:
+            rows = rows_by_label(rule.units_)
+            whole = None if rule.unit_sizes_ is None else [int(rule.unit_sizes_[members[0]]) for members in rows]
+            limit = hierarchical_quantile([self.squared[members] for members in rows], rule.alpha, whole)
+        limit = limit if math.isfinite(limit) else float(self.squared.max(initial=1.0))
+        return limit / float(2 * gammaincinv(3, 1 - float(rule.alpha)))
 
     @cached_property
     def _by_room(self) -> dict[int, RealArray]:

@@ -76,7 +76,10 @@ def calibrate_by_recordings(model: PoseModel) -> PoseModel:
             rule.calibration.scores_[rows], number, sizes[number - first]
         )
         path_rules[path] = replace(
-            rule, calibration=calibration, rooms=None if rule.rooms is None else rule.rooms[rows]
+            rule,
+            calibration=calibration,
+            squared=rule.squared[rows],
+            rooms=None if rule.rooms is None else rule.rooms[rows],
         )
         if _is_bounded(rule.calibration) and not _is_bounded(calibration):
             return model

@@ -58,9 +58,9 @@ _SETTINGS = {
 _KEYFRAME_STEP = 0.025
 _MAX_KEYFRAMES, _AREA = 1000, 5.0  # of an area, and its radius in scene depths
 _LEFT_OUT = 100  # keyframes that the error model is learnt from
-# Keyframes whose view overlaps by more than this are hidden from every second left-out one, so that hardly anything it
-# sees is mapped; and the weight of such a case.
-_HIDDEN_OVERLAPS, _HIDDEN_WEIGHT = (0.0, 0.3), 0.1
+# Keyframes whose view overlaps by more than this are hidden from a left-out one, so that hardly anything it sees is
+# mapped; and the weight of such a case.
+_HIDDEN_OVERLAPS, _HIDDEN_WEIGHT = (0.0, 0.3), 0.05
 _SAME_PLACE = 0.5  # share of the scene's depth within which an estimate is of the same place
 
 
@@ -249,16 +249,15 @@ def _held_out_errors(
     """
     from .mapping import view_overlap  # noqa: PLC0415 - only learning needs it
 
-    n_before, far = len(landmarks.poses_se3) - len(features), set(left_out[::2].tolist())
+    n_before = len(landmarks.poses_se3) - len(features)
 
     def estimated(i: int) -> list[tuple[float, ...]]:
         rows: list[tuple[float, ...]] = []
         matches: dict[int, IntArray] = {}
+        overlap = view_overlap(landmarks.poses_se3, n_before + i, landmarks.camera, landmarks.depth_m)
         earlier = np.zeros(n_before, dtype=np.bool_)
         hidings = [(np.concatenate((earlier, group == group[i])), 1.0) for group in groups]
-        if i in far:
-            overlap = view_overlap(landmarks.poses_se3, n_before + i, landmarks.camera, landmarks.depth_m)
-            hidings += [(overlap > share, _HIDDEN_WEIGHT) for share in _HIDDEN_OVERLAPS]
+        hidings += [(overlap > share, _HIDDEN_WEIGHT) for share in _HIDDEN_OVERLAPS]
         estimates: dict[bytes, list[PoseMeasurement]] = {}  # pieces may be stretches
         for hidden, weight in hidings:
             key = hidden.tobytes()
