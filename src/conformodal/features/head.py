@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import cos, pi
 from typing import NamedTuple, Self, TypeAlias
@@ -17,6 +17,7 @@ from conformodal.core.progress import Progress
 
 from .settings import TrainingConfig, VisionError
 
+_ROWS, _COLUMNS = 256, 2048  # samples, and features, of which copies are made at a time
 _EPSILON = np.float32(1e-5)  # of the layer norm
 _LAYERS = "hidden.weight", "hidden.bias", "norm.weight", "norm.bias", "output.weight", "output.bias"
 
@@ -35,9 +36,17 @@ class Projection:
 
     def apply(self, features: Float32Array) -> Float32Array:
         """Projected features (n, k) of features (n, F)."""
+        return np.concatenate([self._apply(features[rows]) for rows in _blocks(max(len(features), 1), _ROWS)])
+
+    def _apply(self, features: Float32Array) -> Float32Array:
         centred = features - self.offset
         projected = centred @ self.components if self.components.ndim == 2 else centred * self.components
         return np.asarray(projected, dtype=np.float32)
+
+
+def _blocks(n: int, size: int) -> Iterator[slice]:
+    """Slices of so many numbers that cover n."""
+    return (slice(start, min(start + size, n)) for start in range(0, n, size))
 
 
 def fit_projection(features: Float32Array, n_components: int | None, view: slice = slice(None)) -> Projection:
@@ -52,38 +61,54 @@ def fit_projection(features: Float32Array, n_components: int | None, view: slice
         components = np.zeros((features.shape[1], *part.components.shape[1:]), dtype=np.float32)
         components[view] = part.components
         return Projection(offset, components)
-    # features that hardly vary (dead ReLU6 outputs) must not blow up when they do
-    scale = features.std(axis=0) + 1e-3
     n, n_features = features.shape
+    # features that hardly vary (dead ReLU6 outputs) must not blow up when they do
+    spreads = [features[:, part].std(axis=0) for part in _blocks(n_features, _COLUMNS)]
+    scale = np.asarray(np.concatenate(spreads) + 1e-3, dtype=np.float32)
     # features that are all the same have no directions, even where their rounded mean differs from them
     if n_components is None or not np.ptp(features, axis=0).any():
-        return Projection(offset, 1 / scale)
-    directions, variances = _principal_components((features - offset) / scale, min(n_components, n - 1, n_features))
-    gain = np.sqrt(max(float(variances.mean()), 1e-12))
-    components = np.ascontiguousarray((directions / gain).T / scale[:, None], dtype=np.float32)
+        return Projection(offset, np.asarray(1 / scale, dtype=np.float32))
+    directions, variances = _principal_components(features, offset, scale, min(n_components, n - 1, n_features))
+    directions /= np.sqrt(max(float(variances.mean()), 1e-12))
+    components = np.ascontiguousarray(directions.T / scale[:, None], dtype=np.float32)
     return Projection(offset, components)
 
 
-def _principal_components(features: Float32Array, k: int) -> tuple[FloatArray, FloatArray]:
-    """The first k directions (k, F) of features (n, F), and the variances (k,) along them, the largest first.
+def _principal_components(
+    features: Float32Array, offset: Float32Array, scale: Float32Array, k: int
+) -> tuple[FloatArray, FloatArray]:
+    """The first k directions (k, F) of standardised features (n, F), and the variances (k,) along them, largest first.
 
     Exact, as the last of a few hundred directions are where a randomised solver is poor; by the eigenvectors of n x n
     products where there are fewer samples than features, in a fifth of the time of a singular value decomposition.
+    These take some features at a time: copies of all of them would be what training needs most memory for.
     """
     n, n_features = features.shape
     if n > n_features:
         from sklearn.decomposition import PCA  # noqa: PLC0415 - seconds to import; running a model fits none
 
-        pca = PCA(k, svd_solver="covariance_eigh").fit(features)
+        pca = PCA(k, svd_solver="covariance_eigh").fit((features - offset) / scale)
         return pca.components_, pca.explained_variance_
-    centred = features.astype(np.float64) - features.mean(axis=0, dtype=np.float64)
-    squares, vectors = eigh(centred @ centred.T, subset_by_index=[n - k, n - 1])
+
+    def centred(part: slice) -> FloatArray:
+        standardised = ((features[:, part] - offset[part]) / scale[part]).astype(np.float64)
+        standardised -= standardised.mean(axis=0)
+        return standardised
+
+    products = np.zeros((n, n))
+    for part in _blocks(n_features, _COLUMNS):
+        columns = centred(part)
+        products += columns @ columns.T
+    squares, vectors = eigh(products, subset_by_index=[n - k, n - 1])
     squares, vectors = np.maximum(squares[::-1], 0), vectors[:, ::-1]
     lengths = np.sqrt(squares)
     lengths[squares <= n * np.finfo(np.float64).eps * squares[0]] = np.inf  # samples that repeat have no directions
-    directions = vectors.T @ centred / lengths[:, None]
-    largest = np.take_along_axis(directions, np.abs(directions).argmax(axis=1)[:, None], axis=1)
-    return directions * np.sign(largest), squares / (n - 1)  # the sign is arbitrary
+    directions = np.empty((k, n_features))
+    for part in _blocks(n_features, _COLUMNS):
+        directions[:, part] = vectors.T @ centred(part) / lengths[:, None]
+    largest = directions[np.arange(k), np.abs(directions).argmax(axis=1)]
+    directions *= np.sign(largest)[:, None]  # the sign is arbitrary
+    return directions, squares / (n - 1)
 
 
 @dataclass(frozen=True, eq=False)

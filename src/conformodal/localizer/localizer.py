@@ -17,7 +17,7 @@ import numpy as np
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.conformal.scores import Aps
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
-from conformodal.core.parallel import in_threads, in_workers, raise_if_cancelled
+from conformodal.core.parallel import in_threads, in_workers, raise_if_cancelled, release_freed_memory
 from conformodal.core.progress import stage_of
 
 from . import LocalizationError
@@ -119,7 +119,9 @@ class Localizer:
         others = [(kind, [k]) for k in every[:-1] for kind in kinds if kind.local]
         fitted: dict[tuple[type[PoseSource], int], PoseSource | None] = {}
         results = in_threads(fit, first)
+        release_freed_memory()  # else the folds' maps would come on top of what networks took
         results += in_workers(fit, others, stage_of(data.progress, "folds"))
+        release_freed_memory()
         for (kind, numbers), sources in zip([*first, *others], results, strict=True):
             fitted.update({(kind, k): source for k, source in zip(numbers, sources, strict=True)})
         localizers = []
