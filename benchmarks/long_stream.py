@@ -40,7 +40,7 @@ SOURCES, N_BINS = ("head", "neighbours", "landmarks"), 16  # per target
 def train_briefly(folder: Path) -> None:
     """Write a corridor of three modules, and a model of it whose training is short."""
     sequence = read_recording(write_corridor(folder / "corridor", n_modules=3, n_laps=1, seed=3))
-    config = ModelConfig(sources=SOURCES, features="orb", n_bins=N_BINS, training=TrainingConfig(epochs=5))
+    config = ModelConfig(sources=SOURCES, features="xfeat", n_bins=N_BINS, training=TrainingConfig(epochs=5))
     save_model(train_model(prepare_training_data(sequence, config, FeatureCache(None)), config), folder / "model")
 
 
