@@ -11,13 +11,12 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from common import REDKITCHEN, parser_of, write_table
+from common import REDKITCHEN, RUNS, parser_of, write_table
 
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
@@ -37,11 +36,12 @@ def enlarged(sequence: Recording, size: tuple[int, int], folder: Path) -> Record
     camera, (width, height) = sequence.camera, size
     if (camera.width, camera.height) == size:
         return sequence
+    if (folder / "camera-intrinsics.txt").is_file():
+        return read_recording(folder)
     scale = width / camera.width
     top = (round(camera.height * scale) - height) // 2
-    (folder / "seq-01").mkdir(parents=True)
+    (folder / "seq-01").mkdir(parents=True, exist_ok=True)
     matrix = [[camera.fx * scale, 0, camera.cx * scale], [0, camera.fy * scale, camera.cy * scale - top], [0, 0, 1]]
-    np.savetxt(folder / "camera-intrinsics.txt", matrix)
     for path in sequence.image_paths:
         image = cv2.resize(read_image(path), None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
         cropped = cv2.cvtColor(image[top : top + height], cv2.COLOR_RGB2BGR)
@@ -49,11 +49,14 @@ def enlarged(sequence: Recording, size: tuple[int, int], folder: Path) -> Record
         pose = path.name.replace(".color", ".pose")
         pose_file = path.with_name(pose).with_suffix(".txt")
         (folder / "seq-01" / pose_file.name).write_bytes(pose_file.read_bytes())
+    np.savetxt(folder / "camera-intrinsics.txt", matrix)  # the last: then the recording is whole
     return read_recording(folder)
 
 
 def train_briefly(sequence: Recording, folder: Path, sources: tuple[str, ...], features: str) -> Path:
-    """Save a model whose training is short: that does not change how fast it is."""
+    """Save a model whose training is short, and keep it: that does not change how fast it is."""
+    if (folder / "model.json").is_file():
+        return folder
     config = ModelConfig(sources=sources, features=features, training=TrainingConfig(epochs=5))
     save_model(train_model(prepare_training_data(sequence, config, FeatureCache(None)), config), folder)
     return folder
@@ -80,21 +83,20 @@ def main() -> None:
     sequence = read_recording(REDKITCHEN)
     header = ["image", "pose sources", "local features", "cores", "median, ms", "99th percentile, ms"]
     header += ["frames per second", "network needed", "first answer, s", "resident, MB", "ms per frame, by part"]
-    rows = []
-    with tempfile.TemporaryDirectory() as scratch:
-        for name, size in SIZES.items():
-            recording = enlarged(sequence, size, Path(scratch) / name)
-            images = [str(path) for path in recording.image_paths[:FRAMES]]
-            for sources, features in MODES:
-                model = train_briefly(recording, Path(scratch) / f"{name}-{len(sources)}{features}", sources, features)
-                for cores in (1, 2):
-                    costs = stream_costs(model, images, cores)
-                    parts = ", ".join(f"{part} {ms:.1f}" for part, ms in costs["parts"].items() if ms)
-                    times = [f"{costs['median']:.1f}", f"{costs['p99']:.1f}", f"{1e3 / costs['mean']:.1f}"]
-                    others = [f"{costs['first_s']:.2f}", f"{costs['resident_mb']:.0f}", parts]
-                    mode = [name, ", ".join(sources), features if sources == EVERY else "-", str(cores)]
-                    rows.append([*mode, *times, f"{costs['network']:.2f}", *others])
-                    print(rows[-1], flush=True)
+    rows, kept = [], RUNS / "streaming"
+    for name, size in SIZES.items():
+        recording = enlarged(sequence, size, kept / name)
+        images = [str(path) for path in recording.image_paths[:FRAMES]]
+        for sources, features in MODES:
+            model = train_briefly(recording, kept / f"{name}-{len(sources)}{features}", sources, features)
+            for cores in (1, 2):
+                costs = stream_costs(model, images, cores)
+                parts = ", ".join(f"{part} {ms:.1f}" for part, ms in costs["parts"].items() if ms)
+                times = [f"{costs['median']:.1f}", f"{costs['p99']:.1f}", f"{1e3 / costs['mean']:.1f}"]
+                others = [f"{costs['first_s']:.2f}", f"{costs['resident_mb']:.0f}", parts]
+                mode = [name, ", ".join(sources), features if sources == EVERY else "-", str(cores)]
+                rows.append([*mode, *times, f"{costs['network']:.2f}", *others])
+                print(rows[-1], flush=True)
     note = (
         f"{FRAMES} consecutive frames of redkitchen, 10 of them to warm up, as a camera would give them at 30 "
         "per second; 1280x720: enlarged and cropped. Time of a frame: from decoded image to pose and region; parts are "
