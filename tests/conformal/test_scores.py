@@ -68,6 +68,17 @@ def test_the_level_set_of_one_row_holds_the_bins_whose_score_is_within_its_limit
     np.testing.assert_array_equal(score.level_set(proba, widths, limits, starts), np.concatenate(expected))
 
 
+def test_single_precision_loses_no_bin_at_the_threshold():
+    rng, bins = np.random.default_rng(0), QuantileBins.from_edges([np.arange(3001)])
+    proba = rng.random((60, 3000)) ** 8
+    proba = (proba / proba.sum(axis=1, keepdims=True)).astype(np.float32)
+    y = rng.integers(3000, size=60) + 0.5
+    rule = SplitConformal(bins, 0.1, "hpd").calibrate(proba, y)
+    for i, score in enumerate(rule.scores_[:, 0]):
+        limit = rule.per_target(np.array([score]))
+        assert rule.regions_at(proba[[i]], limit).contains(y[[i]])[0, 0]
+
+
 def test_the_regions_of_one_sample_are_those_that_it_has_among_others():
     rng = np.random.default_rng(3)
     bins = QuantileBins(60).fit(rng.standard_normal((500, 2)))

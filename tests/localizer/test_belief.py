@@ -148,21 +148,22 @@ def test_a_place_is_recognised_by_an_estimate_that_is_probably_right():
     n_places=st.integers(1, 4),
     sigma_m=st.sampled_from([1e-4, 0.01, 0.1, 1.0]),
     probability=st.sampled_from([0.3, 0.9, 0.999]),
-    limit=st.sampled_from([0.2, 0.7, 0.9, 0.98, np.inf]),
+    limits=st.lists(st.sampled_from([-np.inf, 0.2, 0.6, 0.9, 0.98, np.inf]), min_size=7, max_size=7),
+    single=st.booleans(),
 )
-def test_the_level_set_near_hypotheses_is_that_of_all_cells(bins, seed, n_places, sigma_m, probability, limit):
+def test_the_level_set_near_hypotheses_is_that_of_all_cells(bins, seed, n_places, sigma_m, probability, limits, single):
     rng = np.random.default_rng(seed)
     cells = BeliefCells.of(bins, divide_bins(bins), SIGN)
     low, high = np.array([(edges[0], edges[-1]) for edges in bins.edges_[:3]]).T
     places = rng.uniform(1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low, (n_places, 3))  # some are beyond the bins
     answers = [estimate(place, rng.normal(size=3), sigma_m, sigma_m, probability) for place in places]
-    its, proba = mixture(answers), softmaxes(bins, 1, seed)
-    rule = SplitConformal(divide_bins(bins), 0.1, "hpd", "max")
-    limits = np.full(7, limit)
+    dtype = np.float32 if single else np.float64
+    its, proba = mixture(answers), [part.astype(dtype) for part in softmaxes(bins, 1, seed)]
+    rule, limits = SplitConformal(divide_bins(bins), 0.1, "hpd", "max"), np.array(limits)
     expected = rule.regions_at(BinProbabilities(beliefs(proba, its).marginals(cells)), limits)
     found = cells.level_set(np.concatenate(proba, axis=1)[0], its, Aps("density", 0.5), limits)
     if found is None:  # as where the limit is beyond what is near
-        assert limit > 0.6 or probability < 0.5 or sigma_m > 0.1 or n_places > 1
+        assert limits.max() > 0.6 or probability < 0.5 or sigma_m > 0.1 or n_places > 1
         return
     for mask, near in zip(expected.masks, cells.by_target(found[None]), strict=True):
         np.testing.assert_array_equal(near, mask)

@@ -13,6 +13,7 @@ from conformodal.geometry import PinholeCamera
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.localizer.localizer import Localizer
 from conformodal.localizer.sources.landmark_map import LandmarkMap
+from conformodal.localizer.turning import TurnTracker
 from conformodal.pipeline import estimator as estimating
 from conformodal.pipeline.calibrate import beliefs_of_streams
 from conformodal.pipeline.estimator import VisualOdometry
@@ -82,19 +83,28 @@ def test_every_fifth_frame_is_detected_and_all_are_localised(answers):
         np.testing.assert_allclose(one.position_xyz, (STEP_M * k, 0, 0), atol=0.02)
 
 
-def test_calibration_answers_a_held_out_stretch_as_a_run_does(model, answers):
-    frames = np.arange(N_FRAMES)
+FRAMES = np.arange(N_FRAMES)
+
+
+@pytest.fixture
+def held_out(model):
+    """Training data of the recording, the motions between its frames, and what local features show."""
     sequence = SimpleNamespace(
         camera=CAMERA, image=picture, timestamps_s=TIMES_S, recording=np.zeros(N_FRAMES, np.int64)
     )
-    looks = run_front_end(sequence, frames, model.detector, motions=True)
-    features = np.concatenate([model.backbone.features_of(picture(k)) for k in frames])
+    looks = run_front_end(sequence, FRAMES, model.detector, motions=True)
+    features = np.concatenate([model.backbone.features_of(picture(k)) for k in FRAMES])
     data = SimpleNamespace(
         sequence=sequence,
         features=features,
         detector=model.detector,
         local_features=lambda chosen: [looks.features[i] for i in chosen.tolist()],
     )
+    return data, looks
+
+
+def test_calibration_answers_a_held_out_stretch_as_a_run_does(model, answers, held_out):
+    (data, looks), frames, features = held_out, FRAMES, held_out[0].features
     beliefs = beliefs_of_streams(data, np.zeros(N_FRAMES, np.int64), looks.motions, frames, model.localizer)
     for k, estimate in enumerate(answers[0]):
         mine, its = beliefs.mixtures[k], estimate.candidates
@@ -107,3 +117,27 @@ def test_calibration_answers_a_held_out_stretch_as_a_run_does(model, answers):
         not np.allclose(one.positions_xyz[0], other.positions_xyz[0], atol=1e-6)
         for one, other in zip(alone.mixtures, beliefs.mixtures, strict=True)
     )
+
+
+def test_single_frames_are_looked_at_as_often_as_features_are_detected(model, held_out, monkeypatch):
+    (data, looks), asked, turned = held_out, [], []
+    lost = SimpleNamespace(rows=set())
+    localizer, answer = model.localizer, Localizer.beliefs
+
+    def beliefs(self, evidence):
+        its = answer(self, evidence)
+        k = int(np.flatnonzero((data.features == evidence.features).all(axis=1))[0])
+        asked.append(k)
+        return replace(its, estimates=[[]]) if k in lost.rows else its
+
+    monkeypatch.setattr(Localizer, "beliefs", beliefs)
+    monkeypatch.setattr(TurnTracker, "advance", lambda self, motion: turned.append(motion))
+    labels = np.zeros(N_FRAMES, np.int64)
+    alone = beliefs_of_streams(data, labels, looks.motions, FRAMES, localizer, carries=False)
+    assert asked == [0, 5, 10]
+    assert [alone.mixtures[k] is alone.mixtures[5] for k in (4, 5, 9, 10)] == [False, True, True, False]
+    assert turned == [looks.motions[k] for k in FRAMES]  # the camera's roll is followed through all of them
+    asked.clear()
+    lost.rows = {0, 6}  # a run goes on detecting until a place is recognised
+    beliefs_of_streams(data, labels, looks.motions, FRAMES, localizer, carries=False)
+    assert asked == [0, 1, 6, 7, 12]

@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from conformodal.core.parallel import thread_limit
 from conformodal.core.progress import StageProgress, stage_of
 from conformodal.core.words import counted
 from conformodal.corridor import write_passes
@@ -27,12 +28,14 @@ from conformodal.pipeline.model import ONLINE
 from conformodal.pipeline.plain import train_plain
 from conformodal.pipeline.results import lock_output
 from conformodal.pipeline.train import prepare_training_data
+from conformodal.pipeline.workers import parallel_workers
 
 from .answering import Part, answer_stream, describe_outcome, metrics_of, part_frames, report_outcome, write_answers
 from .console import print_where, progress_bars, report_line
 from .train import train_on
 
 N_MODULES, N_PASSES, SPEED = 3, 4, 2.0
+_MAX_WORKERS = 4  # there are as many folds
 WRONG_M = 0.5  # a pose that is further off is wrong: rooms are 4 m apart
 
 
@@ -43,7 +46,9 @@ def demo(
     """Fly through a corridor of identical rooms, learn it, and localize the camera by conformal regions and motion."""
     started, features, training = time.perf_counter(), FeatureCache(out / "cache"), TrainingConfig(seed=seed)
     config = ModelConfig(split=SplitKind.RECORDINGS, test=1 / N_PASSES, seed=seed, training=training)
-    with lock_output(out, "demo"), progress_bars(out) as report:
+    # images are so small that threads mostly wait for each other's Python code
+    workers = parallel_workers(min(thread_limit(), _MAX_WORKERS))
+    with lock_output(out, "demo"), progress_bars(out) as report, workers:
         sequence = _corridor(out / "corridor" / f"passes-seed-{seed}", seed, report)
         data = prepare_training_data(sequence, config, features, report)
         model = train_on(data, config, out / "model", report)

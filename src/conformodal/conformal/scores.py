@@ -218,13 +218,16 @@ class Aps:
         target = np.searchsorted(starts, ranked, side="right") - 1
         order = ranked[np.lexsort((-keys[ranked], target))]  # ranked within targets: `target` stays as it is
         first, end = np.searchsorted(ranked, starts), np.searchsorted(ranked, ends)
-        own = proba[order].astype(np.float64)
-        before = np.concatenate(([0.0], np.cumsum(own)))
-        mask = np.zeros(proba.shape, dtype=np.bool_)
+        own, mask = proba[order], np.zeros(proba.shape, dtype=np.bool_)
         if self.share is None:
             return PartialLevelSet(mask, np.zeros(len(starts), dtype=np.bool_))
+        before = np.concatenate(([0.0], np.cumsum(own, dtype=np.float64)))
         complete = before[end] - before[first] > limits + _ROUNDING
-        scores = before[:-1] - before[first][target] + self.share * own
+        if proba.dtype == np.float64:
+            scores = before[:-1] - before[first][target] + self.share * own
+        else:  # sums in single precision depend on where they start
+            rows = [own[None, a:b] for a, b in zip(first.tolist(), end.tolist(), strict=True)]
+            scores = np.concatenate([_ranked_scores(row, proba.dtype.type(self.share))[0] for row in rows])
         mask[order[(scores <= limits[target]) & complete[target]]] = True
         return PartialLevelSet(mask, complete)
 

@@ -147,6 +147,8 @@ class BeliefCells:
         lowest, highest = self.starts + targets, self.starts + targets + self.sizes
         inside = found.below(self.edges[highest], targets) - found.below(self.edges[lowest], targets)
         totals = found.left * np.add.reduceat(proba, self.bin_starts, dtype=np.float64) + inside
+        if not (totals > 0).all():  # all of it lies beyond the cells
+            return None
         mass /= totals[target]
         # hypotheses are in the windows, so that beyond these they are nowhere denser than at their ends
         at_ends = [found.density(self.edges[lowest + at]) for at in (first, end)]

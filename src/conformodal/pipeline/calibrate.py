@@ -80,7 +80,7 @@ def calibrate_regions(
         look = partial(beliefs_of_streams, data, folds.units, motions)
         beliefs = [look(fold.held_out, by) for fold, by in pairs]
         # where corners are followed, a place is as strongly recognised as when they were detected: the novelty test is
-        # calibrated on how strongly it is in frames in which they are, as often as a run detects them
+        # calibrated on how strongly it is in frames in which they are, as often as a run detects them there
         detected = [look(fold.held_out, by, carries=False) for fold, by in pairs] if carries else beliefs
     else:
         beliefs = detected = [by.beliefs(_evidence(data, fold.held_out, local=local)) for fold, by in pairs]
@@ -126,8 +126,8 @@ def beliefs_of_streams(
 ) -> Beliefs:
     """The beliefs about held-out frames, each stretch looked at as a stream, see :class:`.carrying.FeatureStream`.
 
-    Unless it `carries`, frames are looked at by themselves, as often as a run detects local features; those between
-    have the belief about the one before.
+    Unless it `carries`, frames are looked at by themselves. After one in which a place was recognised, those that come
+    before a run would detect local features again have the same belief.
     """
 
     def of_stretch(rows: IntArray) -> list[Beliefs]:
@@ -136,7 +136,8 @@ def beliefs_of_streams(
         for frame in held_out[rows].tolist():
             raise_if_cancelled()
             time_s = float(data.sequence.timestamps_s[frame])
-            if not carries and time_s - looked_s < CarrySettings().detect_every_s:
+            is_soon = not carries and time_s - looked_s < CarrySettings().detect_every_s
+            if is_soon and beliefs[-1].recognised[0]:
                 stream.skip(motions[frame])
                 beliefs.append(beliefs[-1])
                 continue

@@ -44,7 +44,8 @@ class Estimate:
     # conformal p-value of "this image shows a place that is known"; None where images are not tested
     known_p: float | None = None
     evidence: EvidenceType | None = None  # what the region rests on
-    # standard deviations of the most probable place; they grow while motion alone tells where the camera is
+    # standard deviations of the most probable place as believed, see `covariance` for calibrated ones; they grow while
+    # motion alone tells where the camera is
     position_spread_m: float | None = None
     orientation_spread_rad: float | None = None
     variance_factor: float = 1.0  # of the posterior's covariance, calibrated on held-out streams
@@ -57,9 +58,9 @@ class Estimate:
     def covariance(self) -> FloatArray | None:
         """(6, 6) of the posterior about :attr:`pose`, all places together; None without an image.
 
-        It is calibrated where regions from all frames so far are, by :attr:`.model.PathRule.variance_factor`. For the
-        axes see :meth:`~conformodal.localizer.mixtures.PoseMixture.covariance`. Where no hypothesis of the posterior is
-        right, those of the image alone stand.
+        It is calibrated by :attr:`.model.PathRule.variance_factor`, of frames whose region from all frames so far is
+        bounded. For the axes see :meth:`~conformodal.localizer.mixtures.PoseMixture.covariance`. Where no hypothesis of
+        the posterior is right, those of the image alone stand.
         """
         if self.pose is None or self.candidates is None:
             return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -139,7 +138,6 @@ class VisualOdometry(Odometry):
         path_region = self.model.path_regions(localization, [posterior], ONLINE)
         rule = self.model.path_rules.get(ONLINE)
         variance_factor = 1.0 if rule is None else rule.variance_factor
-        spread_factor = math.sqrt(variance_factor)
         problems += self._doubts(localization.regions if path_region is None else path_region, best)
         if path_region is not None and not self._holds(localization.regions, best):  # a path may be sure and wrong
             problems.append("the pose lies outside of the image's region")
@@ -156,8 +154,8 @@ class VisualOdometry(Odometry):
             estimates=list(localization.beliefs.estimates[0]),
             known_p=None if np.isnan(known_p) else known_p,
             evidence=evidence,
-            position_spread_m=spread_factor * float(np.linalg.norm(best.position_spreads)),
-            orientation_spread_rad=spread_factor * best.orientation_spread_rad,
+            position_spread_m=float(np.linalg.norm(best.position_spreads)),
+            orientation_spread_rad=best.orientation_spread_rad,
             variance_factor=variance_factor,
             posterior=posterior,
             places=places,

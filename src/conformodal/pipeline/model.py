@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from conformodal.conformal import QuantileBins, SplitConformal, conformal_quantile, hierarchical_quantile
-from conformodal.conformal.checks import Alpha
+from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.conformal.scores import Aps
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, UInt8Array, evenly_spread, rows_by_label
 from conformodal.core.ranges import check_ranges
@@ -98,21 +98,24 @@ class PathRule:
 
     @cached_property
     def variance_factor(self) -> float:
-        """Factor of covariances whose ellipsoid of 1 - alpha then holds as many poses as regions do.
+        """Factor of covariances with which the ellipsoid of 1 - alpha of a normal error is a conformal set.
 
-        The ellipsoid is that of a normal error: squared errors over the covariance are below the quantile of the
-        chi-squared law with six degrees of freedom. It has the guarantee of the regions, unless too few frames
-        calibrate for a finite quantile: then it is as large as the largest of their errors asks.
+        Its squared errors over the covariance are below the quantile of the chi-squared law with six degrees of
+        freedom. Frames that are lost neither calibrate it nor are covered by it, and rooms are calibrated together.
+        Where too few frames calibrate for a finite quantile, it is as large as the largest of their errors asks, at
+        least 1, and without a guarantee.
         """
-        rule = self.calibration
+        rule, rate = self.calibration, as_alpha(self.calibration.alpha)
+        if not len(self.squared):
+            return 1.0
+        normal = float(2 * gammaincinv(3, 1 - float(rate)))
         if rule.units_ is None:
-            limit = float(conformal_quantile(self.squared, rule.alpha))
+            limit = float(conformal_quantile(self.squared, rate))
         else:
             rows = rows_by_label(rule.units_)
             whole = None if rule.unit_sizes_ is None else [int(rule.unit_sizes_[members[0]]) for members in rows]
-            limit = hierarchical_quantile([self.squared[members] for members in rows], rule.alpha, whole)
-        limit = limit if math.isfinite(limit) else float(self.squared.max(initial=1.0))
-        return limit / float(2 * gammaincinv(3, 1 - float(rule.alpha)))
+            limit = hierarchical_quantile([self.squared[members] for members in rows], rate, whole)
+        return limit / normal if math.isfinite(limit) else max(float(self.squared.max()) / normal, 1.0)
 
     @cached_property
     def _by_room(self) -> dict[int, RealArray]:
