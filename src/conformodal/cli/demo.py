@@ -24,6 +24,7 @@ from conformodal.io.streams.frames import Frame, RecordingStream
 from conformodal.localizer.regions import PoseRegions
 from conformodal.pipeline.config import ModelConfig
 from conformodal.pipeline.estimates import Estimate
+from conformodal.pipeline.folds import MAX_FOLDS
 from conformodal.pipeline.model import ONLINE
 from conformodal.pipeline.plain import train_plain
 from conformodal.pipeline.results import lock_output
@@ -35,7 +36,6 @@ from .console import print_where, progress_bars, report_line
 from .train import train_on
 
 N_MODULES, N_PASSES, SPEED = 3, 4, 2.0
-_MAX_WORKERS = 4  # there are as many folds
 WRONG_M = 0.5  # a pose that is further off is wrong: rooms are 4 m apart
 
 
@@ -47,7 +47,7 @@ def demo(
     started, features, training = time.perf_counter(), FeatureCache(out / "cache"), TrainingConfig(seed=seed)
     config = ModelConfig(split=SplitKind.RECORDINGS, test=1 / N_PASSES, seed=seed, training=training)
     # images are so small that threads mostly wait for each other's Python code
-    workers = parallel_workers(min(thread_limit(), _MAX_WORKERS))
+    workers = parallel_workers(min(thread_limit(), MAX_FOLDS))
     with lock_output(out, "demo"), progress_bars(out) as report, workers:
         sequence = _corridor(out / "corridor" / f"passes-seed-{seed}", seed, report)
         data = prepare_training_data(sequence, config, features, report)

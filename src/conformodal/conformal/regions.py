@@ -73,8 +73,6 @@ class Regions:
 
     def runs(self, i: int) -> list[IntArray]:
         """Runs of adjacent chosen bins of sample `i`: d arrays (m, 2) of first bin and one past the last."""
-        if len(self.masks) == 1:
-            return [_flat_runs(self.masks[0][[i]])[1]]
         apart = np.zeros((1, 1), dtype=bool)  # a bin between two targets that is in no set
         row = np.concatenate([part for mask in self.masks for part in (mask[[i]], apart)], axis=1)
         every, starts = _flat_runs(row)[1], np.cumsum([0, *(size + 1 for size in self.bins.sizes)])

@@ -193,7 +193,7 @@ class Aps:
         scores[order] = _ranked_scores(np.ascontiguousarray(proba).ravel()[order], share)
         return scores.reshape(proba.shape)
 
-    def level_set(self, proba: RealArray, widths: FloatArray, limits: RealArray, starts: IntArray) -> BoolArray:
+    def level_set(self, proba: FloatArray, widths: FloatArray, limits: RealArray, starts: IntArray) -> BoolArray:
         """Whether the score of each bin (C,) of one row is at most its target's limit (d,), as :meth:`of_bins` has it.
 
         The bins of d targets come one after another, those of each from `starts` (d,) on.
@@ -206,7 +206,7 @@ class Aps:
         return mask
 
     def level_set_above(
-        self, proba: RealArray, widths: FloatArray, limits: RealArray, starts: IntArray, least: RealArray
+        self, proba: FloatArray, widths: FloatArray, limits: RealArray, starts: IntArray, least: RealArray
     ) -> PartialLevelSet:
         """The same, from those bins alone whose density (or probability) is above the `least` (d,) of their target.
 
@@ -221,13 +221,9 @@ class Aps:
         own, mask = proba[order], np.zeros(proba.shape, dtype=np.bool_)
         if self.share is None:
             return PartialLevelSet(mask, np.zeros(len(starts), dtype=np.bool_))
-        before = np.concatenate(([0.0], np.cumsum(own, dtype=np.float64)))
+        before = np.concatenate(([0.0], np.cumsum(own)))
         complete = before[end] - before[first] > limits + _ROUNDING
-        if proba.dtype == np.float64:
-            scores = before[:-1] - before[first][target] + self.share * own
-        else:  # sums in single precision depend on where they start
-            rows = [own[None, a:b] for a, b in zip(first.tolist(), end.tolist(), strict=True)]
-            scores = np.concatenate([_ranked_scores(row, proba.dtype.type(self.share))[0] for row in rows])
+        scores = before[:-1] - before[first][target] + self.share * own
         mask[order[(scores <= limits[target]) & complete[target]]] = True
         return PartialLevelSet(mask, complete)
 

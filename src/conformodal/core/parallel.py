@@ -6,11 +6,10 @@ import ctypes
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, suppress
 from contextvars import ContextVar, copy_context
-from dataclasses import dataclass, field
 from functools import cache
 from typing import TypeVar
 
@@ -24,19 +23,6 @@ from .progress import Progress
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_SWITCH_S = 5e-4
-
-
-@dataclass
-class _Switching:
-    """Who wants threads to switch often: the first one in sets the interval, the last one out restores it."""
-
-    lock: threading.Lock = field(default_factory=threading.Lock)
-    n_users: int = 0
-    usual_s: float = 0.0
-
-
-_switching = _Switching()
 # set when a call of in_threads that the thread works for has failed, for those around the innermost one too
 _failed: ContextVar[tuple[threading.Event, ...]] = ContextVar("failed", default=())
 
@@ -57,7 +43,7 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: 
     if len(items) == 1 and progress is None:  # as for each frame of a stream
         with one_blas_thread():
             return [context.run(checked, items[0])]
-    with one_blas_thread(), _frequent_switches(), ThreadPoolExecutor(thread_limit()) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(thread_limit()) as pool:
         futures = [pool.submit(context.copy().run, checked, item) for item in items]
         try:
             for done, future in enumerate(as_completed(futures), start=1):
@@ -69,23 +55,6 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: 
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return [future.result() for future in futures]
-
-
-@contextmanager
-def _frequent_switches() -> Iterator[None]:
-    """Threads wait shorter for each other's Python code: with two on two cores, training takes 5 to 15 % less time."""
-    with _switching.lock:
-        if not _switching.n_users:
-            _switching.usual_s = sys.getswitchinterval()
-            sys.setswitchinterval(min(_switching.usual_s, _SWITCH_S))
-        _switching.n_users += 1
-    try:
-        yield
-    finally:
-        with _switching.lock:
-            _switching.n_users -= 1
-            if not _switching.n_users:
-                sys.setswitchinterval(_switching.usual_s)
 
 
 def in_workers(work: Callable[[Item], Result], items: Sequence[Item], progress: Progress | None = None) -> list[Result]:

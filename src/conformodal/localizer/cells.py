@@ -110,10 +110,10 @@ class BeliefCells:
         """Seven arrays (n, cells) of probabilities whose rows sum to one, from softmaxes (n, bins)."""
         block = np.take(proba, self.bin_of, axis=1) * self.share
         for i, mixture in enumerate(mixtures):
-            found = self._hypotheses(mixture)
-            if found is not None:
-                below = found.below(self.edges, self.target)
-                block[i] *= found.left
+            hypotheses = self._hypotheses(mixture)
+            if hypotheses is not None:
+                below = hypotheses.below(self.edges, self.target)
+                block[i] *= hypotheses.left
                 # far away, rounding makes some differences negative
                 block[i] += np.maximum(below[self.upper] - below[self.upper - 1], 0)
         block /= np.repeat(np.add.reduceat(block, self.starts, axis=1), self.sizes, axis=1)
@@ -127,11 +127,11 @@ class BeliefCells:
         """
         if np.isposinf(limits).all():
             return np.ones(len(self.share), dtype=np.bool_)
-        found = self._hypotheses(mixture)
-        if found is None or score.order != "density" or score.share is None:
+        hypotheses = self._hypotheses(mixture)
+        if hypotheses is None or score.order != "density" or score.share is None:
             return None
-        reach = _WINDOW_SIGMAS * found.sigmas
-        first, end = self._window((found.places - reach).min(axis=0), (found.places + reach).max(axis=0))
+        reach = _WINDOW_SIGMAS * hypotheses.sigmas
+        first, end = self._window((hypotheses.places - reach).min(axis=0), (hypotheses.places + reach).max(axis=0))
         counts = end - first
         if counts.sum() > _WINDOW_CELLS:
             return None
@@ -140,19 +140,19 @@ class BeliefCells:
         cell = np.arange(counts.sum()) + np.repeat(self.starts + first - before, counts)
         # one edge more than cells
         edge = np.arange(counts.sum() + len(counts)) + np.repeat(self.starts + first - before, counts + 1)
-        below = found.below(self.edges[edge], np.repeat(targets, counts + 1))
+        below = hypotheses.below(self.edges[edge], np.repeat(targets, counts + 1))
         upper = np.arange(len(cell)) + target + 1
         bins, widths = self.bin_of[cell], self.widths[cell]
-        mass = found.left * proba[bins] * self.share[cell] + np.maximum(below[upper] - below[upper - 1], 0)
+        mass = hypotheses.left * proba[bins] * self.share[cell] + np.maximum(below[upper] - below[upper - 1], 0)
         lowest, highest = self.starts + targets, self.starts + targets + self.sizes
-        inside = found.below(self.edges[highest], targets) - found.below(self.edges[lowest], targets)
-        totals = found.left * np.add.reduceat(proba, self.bin_starts, dtype=np.float64) + inside
+        inside = hypotheses.below(self.edges[highest], targets) - hypotheses.below(self.edges[lowest], targets)
+        totals = hypotheses.left * np.add.reduceat(proba, self.bin_starts, dtype=np.float64) + inside
         if not (totals > 0).all():  # all of it lies beyond the cells
             return None
         mass /= totals[target]
         # hypotheses are in the windows, so that beyond these they are nowhere denser than at their ends
-        at_ends = [found.density(self.edges[lowest + at]) for at in (first, end)]
-        densest = found.left * np.maximum.reduceat(proba * self.densest, self.bin_starts) + np.maximum(*at_ends)
+        at_ends = [hypotheses.density(self.edges[lowest + at]) for at in (first, end)]
+        densest = hypotheses.left * np.maximum.reduceat(proba * self.densest, self.bin_starts) + np.maximum(*at_ends)
         chosen = score.level_set_above(mass, widths, limits, before, (1 + _ROUNDING) * densest / totals)
         if not chosen.complete.all():
             return None

@@ -342,18 +342,18 @@ class RegionRules:
 
     def _threshold(self, kind: int, room: int | None) -> RealArray:
         """(7,) thresholds of an evidence type, of all rooms if none is given."""
-        known = self._thresholds
-        if (kind, room) not in known:
+        if (kind, room) not in self._thresholds:
             calibrated = EvidenceType.LANDMARKS if kind == EvidenceType.WEAK else EvidenceType(kind)
             limit = self._own_threshold(calibrated, room)
             for other in self.by_type.keys() & _AT_LEAST.get(EvidenceType(kind), set()):
                 least = self._own_threshold(other, room)
                 limit = np.maximum(limit, np.where(np.isfinite(least), least, -np.inf))
-            known[kind, room] = limit
-        return known[kind, room]
+            self._thresholds[kind, room] = limit
+        return self._thresholds[kind, room]
 
     @cached_property
     def _thresholds(self) -> dict[tuple[int, int | None], RealArray]:
+        """Those that were asked for."""
         return {}
 
     def _own_threshold(self, kind: EvidenceType, room: int | None) -> RealArray:

@@ -19,7 +19,7 @@ from .config import Calibration, ModelConfig, OdometryError
 # gave the coverage and lengths of five; in a corridor of identical rooms (benchmarks/unseen.py, seed 20, stretches)
 # regions had 2.80 m with three, 0.21 m with four and 0.19 m with five: sources that lack a third of the frames
 # take one room for another
-_MAX_FOLDS = 4
+MAX_FOLDS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ def make_folds(
     if not whole:
         units = held_out_together(sequence.recording, SplitKind.BLOCKS)
     names, folds = np.random.default_rng(split.seed).permutation(np.unique(units[used])), []
-    for part in np.array_split(names, min(_MAX_FOLDS, len(names))):
+    for part in np.array_split(names, min(MAX_FOLDS, len(names))):
         hidden = np.isin(units[used], part)
         folds.append(Fold(used[~hidden], used[hidden]))
     return Folds(folds, used, units, units, whole_recordings=whole)

@@ -118,10 +118,10 @@ class CornerTracker:
         if previous is None or n == 0:
             self.step = self._now, self._now
             return
-        joined = beside is not None and beside.image is previous
-        pixels = np.concatenate((self._now, beside.pixels)) if beside is not None and joined else self._now
-        there, alive = follow_corners(previous, image, pixels)
-        if joined:
+        if beside is None or beside.image is not previous:
+            there, alive = follow_corners(previous, image, self._now)
+        else:
+            there, alive = follow_corners(previous, image, np.concatenate((self._now, beside.pixels)))
             self.beside = FollowedCorners(there[n:], alive[n:])
             there, alive = there[:n], alive[:n]
         self.step = self._now[alive], there[alive]

@@ -156,7 +156,8 @@ class Calibrator:
         if limits.shape not in ((d,), (n, d)):
             raise ConformodalError(f"there must be thresholds for {n} rows of {d} targets, got shape {limits.shape}")
         unbounded = np.array(np.broadcast_to(np.isposinf(limits), (n, d)))
-        if n == 1 and type(self.score_) is Aps and self.empty != "mode":  # as for each frame of a stream
+        double = parts[0].dtype == np.float64  # sums in single precision depend on where they start
+        if n == 1 and double and type(self.score_) is Aps and self.empty != "mode":  # as for each frame of a stream
             starts = np.concatenate(([0], np.cumsum(self.bins.sizes)[:-1]))
             row, widths = np.concatenate(parts, axis=1)[0], np.concatenate(self.bins.widths)
             mask = self.score_.level_set(row, widths, limits.reshape(d), starts)
