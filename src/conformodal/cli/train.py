@@ -66,7 +66,7 @@ def train(
     calibrate_on: Annotated[
         Calibration, _calibration("--calibration", help="auto: frames for --split interleaved, else unseen stretches.")
     ] = ModelConfig.calibrate_on,
-    workers: Annotated[int | None, _model(min=1, help="Processes that map folds: 1, or with ray all cores.")] = None,
+    workers: Annotated[int | None, _model(min=1, help="Processes that share folds: 1, or with ray all cores.")] = None,
     engine: Annotated[Engine, _model(help="Where workers are: here, or on a Ray cluster.")] = Engine.LOCAL,
     address: Annotated[str | None, _model(help="Of the Ray cluster; by default one that Ray finds or starts.")] = None,
     quiet: Quiet = False,

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.conformal import SplitConformal
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, Rows, evenly_spread, rows_by_label
-from conformodal.core.parallel import in_threads, raise_if_cancelled
+from conformodal.core.parallel import in_threads, in_workers, raise_if_cancelled
 from conformodal.core.progress import stage_of
 from conformodal.features.extract import extract_features
 from conformodal.features.local import LocalFeatures, QualityRange
@@ -77,13 +77,15 @@ def calibrate_regions(
     local = all(localizer.local for localizer in localizers)
     carries = local and any(by.carrying_source is not None for by in localizers)
     if local and folds.units is not None and (carries or not data.detector.rotation_invariant):
-        look = partial(beliefs_of_streams, data, folds.units, motions)
-        beliefs = [look(fold.held_out, by) for fold, by in pairs]
         # where corners are followed, a place is as strongly recognised as when they were detected: the novelty test is
         # calibrated on how strongly it is in frames in which they are, as often as a run detects them there
-        detected = [look(fold.held_out, by, carries=False) for fold, by in pairs] if carries else beliefs
+        kinds = (True, False) if carries else (True,)
+        streams = [HeldOutStreams(fold.held_out, by, kind) for kind in kinds for fold, by in pairs]
+        looked = in_workers(partial(beliefs_of_streams, data, folds.units, motions), streams)
+        beliefs, detected = looked[: len(pairs)], looked[-len(pairs) :]
     else:
-        beliefs = detected = [by.beliefs(_evidence(data, fold.held_out, local=local)) for fold, by in pairs]
+        asked = [_Asked(by, fold.held_out, _evidence(data, fold.held_out, local=local)) for fold, by in pairs]
+        beliefs = detected = in_workers(_answer, asked)
     known_p = np.ones(len(folds.held_out))
     if novelty is not None:
         novelty, known_p = _novelty_of_held_out(novelty, folds, data, detected if local else None)
@@ -115,20 +117,21 @@ def _evidence(data: TrainingData, frames: IntArray, *, local: bool) -> FrameEvid
     return FrameEvidence(data.features[frames], data.local_features(frames) if local else ())
 
 
-def beliefs_of_streams(
-    data: TrainingData,
-    units: IntArray,
-    motions: dict[int, RelativeMotion | None],
-    held_out: IntArray,
-    localizer: Localizer,
-    *,
-    carries: bool = True,
-) -> Beliefs:
-    """The beliefs about held-out frames, each stretch looked at as a stream, see :class:`.carrying.FeatureStream`.
+class HeldOutStreams(NamedTuple):
+    """Frames that a localizer has not seen, to be looked at stretch by stretch."""
 
-    Unless it `carries`, frames are looked at by themselves. After one in which a place was recognised, those that come
-    before a run would detect local features again have the same belief.
-    """
+    frames: IntArray
+    localizer: Localizer
+    # whether corners are followed; else frames are looked at by themselves, and after one in which a place was
+    # recognised, those that come before a run would detect local features again have the same belief
+    carries: bool
+
+
+def beliefs_of_streams(
+    data: TrainingData, units: IntArray, motions: dict[int, RelativeMotion | None], streams: HeldOutStreams
+) -> Beliefs:
+    """The beliefs about held-out frames, each stretch looked at as a stream, see :class:`.carrying.FeatureStream`."""
+    held_out, localizer, carries = streams
 
     def of_stretch(rows: IntArray) -> list[Beliefs]:
         stream = FeatureStream(localizer, data.sequence.camera, data.detector, carries=carries)
@@ -186,6 +189,18 @@ def _novelty_of_held_out(
     return replace(novelty, matched=matched), matched.left_out_p_values()
 
 
+class _Asked(NamedTuple):
+    """Evidence of frames that a localizer is asked about."""
+
+    localizer: Localizer
+    frames: IntArray
+    evidence: FrameEvidence
+
+
+def _answer(asked: _Asked) -> Beliefs:
+    return asked.localizer.beliefs(asked.evidence)
+
+
 @dataclass(frozen=True, eq=False)
 class _Disturbed(Rows):
     """Disturbed copies of held-out frames that are beyond the range of qualities."""
@@ -208,7 +223,7 @@ def calibrate_disturbed(
         return calibrated
     quality = QualityRange.of(np.array([features.quality for features in data.local_features(folds.region_frames)]))
     sequence = replace(data.sequence, noise=Disturbance(_DISTURBED_SEED, data.sequence.noise))
-    parts: list[_Disturbed] = []
+    asked: list[_Asked] = []
     for fold, localizer in zip(folds.folds, localizers, strict=True):
         most = -(-_MAX_DISTURBED // len(folds.folds))
         frames = fold.held_out[:: -(-len(fold.held_out) // most)]
@@ -219,8 +234,9 @@ def calibrate_disturbed(
         frames, copies = frames[left], [one for one, counts in zip(copies, left, strict=True) if counts]
         paths, stage = [sequence.image_paths[i] for i in frames], stage_of(data.progress, "disturbed images")
         features = extract_features(paths, data.require_backbone(), data.cache, stage, sequence.noise)
-        evidence = FrameEvidence(features, copies)
-        beliefs = localizer.beliefs(evidence)
+        asked.append(_Asked(localizer, frames, FrameEvidence(features, copies)))
+    parts: list[_Disturbed] = []
+    for (localizer, frames, evidence), beliefs in zip(asked, in_workers(_answer, asked), strict=True):
         distances = novelty.distances(evidence, None if folds.units is None else folds.pieces[frames])
         known_p = np.where(beliefs.recognised, 1.0, novelty.matched.p_values(distances))
         parts.append(
@@ -307,34 +323,70 @@ def calibrate_paths(
     if folds.units is None and data.split.kind is not SplitKind.INTERLEAVED:
         return {}
     rules, units = calibrated.rules, folds.units
+    known = np.split(rules.known, np.cumsum([len(fold.held_out) for fold in folds.folds])[:-1])
+    held_out = [
+        _HeldOutBeliefs(fold.held_out, localizer, beliefs, known_here)
+        for fold, localizer, beliefs, known_here in zip(folds.folds, localizers, calibrated.beliefs, known, strict=True)
+    ]
     streams = data.sequence.recording if units is None else units
-    scored: dict[str, list[PathScores]] = {path: [] for path in PATHS}
-    answered: list[IntArray] = []  # held-out frames, in the order of the scores
-    start = 0
-    for fold, localizer, beliefs in zip(folds.folds, localizers, calibrated.beliefs, strict=True):
-        held_out = fold.held_out
-        posteriors: dict[str, list[Posterior]] = {path: [] for path in PATHS}
-        order = rows_by_label(streams[held_out])
-        for at in order:
-            frames, rows = held_out[at], at.tolist()
-            observations = Observations(
-                [beliefs.mixtures[i] for i in rows],
-                [motions[frame] for frame in frames.tolist()],
-                data.sequence.timestamps_s[frames],
-                known=rules.known[start + at],
-            )
-            forward = filter_posteriors(observations, prior)
-            posteriors[ONLINE] += forward
-            posteriors[HINDSIGHT] += hindsight_posteriors(observations, prior, forward)
-            raise_if_cancelled()
-        rows = np.concatenate(order)
-        answered.append(held_out[rows])
-        for path, each in posteriors.items():
-            targets = data.targets[held_out[rows]]
-            scored[path].append(PathScores.of(localizer, beliefs.part(rows), each, targets, prior, rooms))
-        start += len(held_out)
-    of_units = None if units is None else units[np.concatenate(answered)]
-    return {path: make_path_rule(rules.overall, PathScores.concatenate(p), of_units) for path, p in scored.items()}
+    score = partial(_score_paths, data.targets, data.sequence.timestamps_s, streams, motions, prior, rooms)
+    scored = in_workers(score, held_out)
+    of_units = None if units is None else units[np.concatenate([one.frames for one in scored])]
+    return {
+        path: make_path_rule(rules.overall, PathScores.concatenate([one.paths[path] for one in scored]), of_units)
+        for path in PATHS
+    }
+
+
+class _HeldOutBeliefs(NamedTuple):
+    """Frames that a localizer has not seen, its beliefs about them, and whether they show known places."""
+
+    frames: IntArray
+    localizer: Localizer
+    beliefs: Beliefs
+    known: BoolArray
+
+
+class _ScoredPaths(NamedTuple):
+    """Frames, stream by stream, and their scores by path."""
+
+    frames: IntArray
+    paths: dict[str, PathScores]
+
+
+def _score_paths(
+    targets: FloatArray,
+    timestamps_s: FloatArray,
+    streams: IntArray,
+    motions: dict[int, RelativeMotion | None],
+    prior: MotionPrior,
+    rooms: Rooms | None,
+    held_out: _HeldOutBeliefs,
+) -> _ScoredPaths:
+    """Run streams of held-out frames and score them; targets, times and labels of streams are of all frames."""
+    posteriors: dict[str, list[Posterior]] = {path: [] for path in PATHS}
+    order = rows_by_label(streams[held_out.frames])
+    for rows in order:
+        frames = held_out.frames[rows]
+        observations = Observations(
+            [held_out.beliefs.mixtures[i] for i in rows.tolist()],
+            [motions[frame] for frame in frames.tolist()],
+            timestamps_s[frames],
+            known=held_out.known[rows],
+        )
+        forward = filter_posteriors(observations, prior)
+        posteriors[ONLINE] += forward
+        posteriors[HINDSIGHT] += hindsight_posteriors(observations, prior, forward)
+        raise_if_cancelled()
+    rows = np.concatenate(order)
+    frames, beliefs = held_out.frames[rows], held_out.beliefs.part(rows)
+    return _ScoredPaths(
+        frames,
+        {
+            path: PathScores.of(held_out.localizer, beliefs, each, targets[frames], prior, rooms)
+            for path, each in posteriors.items()
+        },
+    )
 
 
 def make_path_rule(overall: SplitConformal, scored: PathScores, units: IntArray | None) -> PathRule:
@@ -361,34 +413,43 @@ def compare_sources(
     Frames are looked at by themselves, upright. None if no frame shows a known place.
     """
     frames = frames[evenly_spread(len(frames), _MAX_COMPARED)]
+    if frames.size == 0:
+        return None
 
-    def answered(by: Localizer, rows: IntArray) -> tuple[BoolArray, RealArray, BoolArray]:
-        images = _evidence(data, frames[rows], local=rules.recognised is not None)
-        beliefs, p = by.beliefs(images), np.ones(len(rows))
-        if novelty is not None:
-            p = novelty.p_values(images, beliefs.recognition)
-        scores = score_beliefs(_on_cells(rules.overall, by), by, beliefs, data.targets[frames[rows]])
-        kinds = rules.kinds(p, beliefs.recognised)
-        in_rooms = None if rooms is None else rooms.rooms_of(beliefs.mixtures)
-        held = np.asarray((scores <= rules.thresholds(kinds, in_rooms)).all(axis=1))
-        return held, rules.overall.columns(scores).mean(axis=1), kinds != EvidenceType.UNKNOWN
+    def judged(one: _Asked, beliefs: Beliefs) -> _Judged:
+        p = np.ones(len(one.frames)) if novelty is None else novelty.p_values(one.evidence, beliefs.recognition)
+        rule, targets = _on_cells(rules.overall, one.localizer), data.targets[one.frames]
+        scores, kinds = score_beliefs(rule, one.localizer, beliefs, targets), rules.kinds(p, beliefs.recognised)
+        thresholds = rules.thresholds(kinds, None if rooms is None else rooms.rooms_of(beliefs.mixtures))
+        held = np.asarray((scores <= thresholds).all(axis=1))
+        return _Judged(held, rules.overall.columns(scores).mean(axis=1), kinds != EvidenceType.UNKNOWN)
 
-    n = len(frames)
-    by_model, score, shown = answered(localizer, np.arange(n))
-    by_folds, other = np.empty(n, dtype=bool), np.empty(n)
-    for k, by in enumerate(localizers):
-        rows = np.arange(k, n, len(localizers))
+    n, by_folds = len(localizers), list[_Asked]()
+    for by, rows in zip(localizers, (np.arange(k, len(frames), n) for k in range(n)), strict=True):
         if rows.size:
-            by_folds[rows], other[rows], _ = answered(by, rows)
+            by_folds.append(_Asked(by, frames[rows], _evidence(data, frames[rows], local=rules.recognised is not None)))
+    asked = [*by_folds, *(one._replace(localizer=localizer) for one in by_folds)]
+    answers = [judged(*pair) for pair in zip(asked, in_workers(_answer, asked), strict=True)]
+    other, model = _Judged.concatenate(answers[: len(by_folds)]), _Judged.concatenate(answers[len(by_folds) :])
+    shown = model.shown
     if not shown.any():
         return None
     return SourceComparison(
         n_frames=int(shown.sum()),
-        n_both=int((by_model & by_folds & shown).sum()),
-        n_model_only=int((by_model & ~by_folds & shown).sum()),
-        n_folds_only=int((~by_model & by_folds & shown).sum()),
-        larger=float((score > other)[shown].mean()),
+        n_both=int((model.held & other.held & shown).sum()),
+        n_model_only=int((model.held & ~other.held & shown).sum()),
+        n_folds_only=int((~model.held & other.held & shown).sum()),
+        larger=float((model.score > other.score)[shown].mean()),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged(Rows):
+    """Regions of n frames: whether they hold, the scores of the true poses, and whether a known place is shown."""
+
+    held: BoolArray
+    score: RealArray
+    shown: BoolArray
 
 
 def check_unseen(localizer: Localizer, held_out: IntArray) -> None:
