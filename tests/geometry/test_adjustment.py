@@ -3,9 +3,16 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from conformodal.geometry import adjustment as adjustment_module
 from conformodal.geometry import rigid_motions
-from conformodal.geometry.adjustment import INVERSE_DEPTHS, POSITIONS, Adjustment, Bundle, ObservedCorners, PosePriors
+from conformodal.geometry.adjustment import (
+    INVERSE_DEPTHS,
+    POSITIONS,
+    Adjustment,
+    Bundle,
+    ObservedCorners,
+    PosePriors,
+    SolverSettings,
+)
 
 
 def world(n_cameras=6, n_points=40, seed=0):
@@ -61,25 +68,24 @@ def test_submaps_without_noise_are_exact_up_to_their_length(seed):
     assert np.abs(fit.residuals).max() < 1e-3
 
 
-@pytest.mark.parametrize("few_cameras", [0, 100])  # by conjugate gradients, and directly
-def test_maps_without_noise_are_exact_with_their_focal_length(monkeypatch, few_cameras):
-    monkeypatch.setattr(adjustment_module, "_FEW_CAMERAS", few_cameras)
+@pytest.mark.parametrize("max_direct_cameras", [0, 100])  # by conjugate gradients, and directly
+def test_maps_without_noise_are_exact_with_their_focal_length(max_direct_cameras):
+    solver = SolverSettings(max_direct_cameras=max_direct_cameras)
     exact = world()._replace(log_focal=0.03)
-    problem = Adjustment(observe(exact), 1e-3, 1.0, POSITIONS, 50, 1e-12, priors_of(exact), focal_sigma=1.0)
+    problem = Adjustment(observe(exact), 1e-3, 1.0, POSITIONS, 50, 1e-12, priors_of(exact), 1.0, solver)
     fit = problem.solve(disturb(exact, POSITIONS))
     np.testing.assert_allclose(fit.bundle.centres, exact.centres, atol=1e-4)
     np.testing.assert_allclose(fit.bundle.points, exact.points, atol=1e-3)
     assert fit.bundle.log_focal == pytest.approx(0.03, abs=1e-4)
 
 
-@pytest.mark.parametrize("few_cameras", [0, 100])
-def test_solutions_agree_with_scipy(monkeypatch, few_cameras):
-    monkeypatch.setattr(adjustment_module, "_FEW_CAMERAS", few_cameras)
-    monkeypatch.setattr(adjustment_module, "_CG_TOLERANCE", 1e-10)
+@pytest.mark.parametrize("max_direct_cameras", [0, 100])
+def test_solutions_agree_with_scipy(max_direct_cameras):
+    solver = SolverSettings(max_direct_cameras=max_direct_cameras, cg_tolerance=1e-10)
     exact = world(3, 12)
     observations, priors = observe(exact, noise=1e-3), priors_of(exact)
     n, p, sigma, cauchy = 3, 12, 1e-3, 2.0
-    fit = Adjustment(observations, sigma, cauchy, POSITIONS, 100, 0.0, priors, focal_sigma=0.01).solve(exact)
+    fit = Adjustment(observations, sigma, cauchy, POSITIONS, 100, 0.0, priors, 0.01, solver).solve(exact)
 
     def residuals(x):
         turns, shifts, points = np.split(x[:-1], [3 * n, 6 * n])

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Trajectory
 from conformodal.localizer.regions import EvidenceType
-from conformodal.ros import conversion as conversion_module
-from conformodal.ros.conversion import Conversion
+from conformodal.ros.conversion import Conversion, MessageLimits
 
 pytest.importorskip("rosbags")
 
@@ -104,11 +103,10 @@ def test_boxes_are_the_region(make_estimate, seed):
     np.testing.assert_allclose(sorted(tuple(np.round(box, 9)) for box in found), np.round(expected, 9), atol=1e-9)
 
 
-def test_of_many_boxes_those_that_hold_most_of_the_belief_are_kept(make_estimate, some_candidates, monkeypatch):
+def test_of_many_boxes_those_that_hold_most_of_the_belief_are_kept(make_estimate, some_candidates):
     estimate = make_estimate(candidates=some_candidates(np.random.default_rng(0), 60))
     all_of_them = Conversion().messages(estimate, 0)["region"].markers[1:]
-    monkeypatch.setattr(conversion_module, "_MAX_BOXES", 3)
-    few = Conversion().messages(estimate, 0)
+    few = Conversion(limits=MessageLimits(max_boxes=3)).messages(estimate, 0)
     assert [m.pose for m in few["region"].markers[1:]] == [m.pose for m in all_of_them[:3]]
     shares = [marker.color.a for marker in all_of_them]
     assert shares == sorted(shares, reverse=True)
@@ -116,10 +114,8 @@ def test_of_many_boxes_those_that_hold_most_of_the_belief_are_kept(make_estimate
     assert (said["boxes"], said["boxes_shown"]) == (str(len(all_of_them)), "3")
 
 
-def test_the_path_is_revised_bounded_and_said_now_and_then(make_estimate, monkeypatch):
-    monkeypatch.setattr(conversion_module, "_LONGEST_PATH", 4)
-    monkeypatch.setattr(conversion_module, "_PATH_EVERY", 3)
-    conversion = Conversion()
+def test_the_path_is_revised_bounded_and_said_now_and_then(make_estimate):
+    conversion = Conversion(limits=MessageLimits(max_path_poses=4, path_every=3))
     quats = np.tile([1.0, 0, 0, 0], (9, 1))
     said = []
     for i in range(7):

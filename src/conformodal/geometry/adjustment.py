@@ -29,11 +29,6 @@ POSITIONS, INVERSE_DEPTHS = slice(0, 3), slice(3, 4)
 
 _Matrix: TypeAlias = Any  # sparse or dense, which one operator multiplies alike
 
-_DAMPING, _MIN_DAMPING = 1e-4, 1e-9  # of Levenberg-Marquardt, at first and at least
-_DAMPINGS = 8  # tried in one iteration
-_FEW_CAMERAS = 16  # up to which the equations of cameras are solved directly
-# residual, as a share of the gradient, at which conjugate gradients end. With 1e-2 to 1e-4 maps localise alike
-_CG_TOLERANCE, _CG_ITERATIONS = 1e-2, 300
 _NEAREST = 1e-6  # least depth in front of a camera
 _REGULAR = 1e-9  # added to diagonals
 _FIXED = 1e-9  # sigma of what does not change
@@ -93,6 +88,19 @@ class Fit(NamedTuple):
     cost: float
 
 
+@dataclass(frozen=True)
+class SolverSettings:
+    """How the equations of an adjustment are solved."""
+
+    damping: float = 1e-4  # of Levenberg-Marquardt, at first
+    min_damping: float = 1e-9
+    max_dampings: int = 8  # tried in one iteration
+    max_direct_cameras: int = 16  # up to which the equations of cameras are solved directly
+    # residual, as a share of the gradient, at which conjugate gradients end. With 1e-2 to 1e-4 maps localise alike
+    cg_tolerance: float = 1e-2
+    max_cg_iterations: int = 300
+
+
 @dataclass(frozen=True, eq=False)
 class Adjustment:
     """A problem of bundle adjustment."""
@@ -105,16 +113,17 @@ class Adjustment:
     enough: float  # relative decrease of the cost that ends them
     priors: PosePriors | None = None
     focal_sigma: float = _FIXED  # standard deviation of the focal length's logarithm; by default it does not change
+    solver: SolverSettings = SolverSettings()
 
     def solve(self, start: Bundle) -> Fit:
         """The bundle of least cost near a start."""
-        fit, damping = self.evaluate(start), _DAMPING
+        fit, damping = self.evaluate(start), self.solver.damping
         for _ in range(self.iterations):
             equations = self._linearise(fit)
-            for _ in range(_DAMPINGS):
+            for _ in range(self.solver.max_dampings):
                 trial = self.evaluate(equations.step(fit.bundle, damping))
                 if trial.cost <= fit.cost:
-                    damping = max(damping / 10, _MIN_DAMPING)
+                    damping = max(damping / 10, self.solver.min_damping)
                     break
                 damping *= 10
             else:
@@ -174,6 +183,7 @@ class Adjustment:
         return _NormalEquations(
             observations=self.observations,
             unknown=self.unknown,
+            solver=self.solver,
             cameras=cameras,
             points=point_sums[:, :, :d],
             between=np.einsum("mka,mkb->mab", by_point, changes[:, :, :6]),
@@ -192,6 +202,7 @@ class _NormalEquations:
 
     observations: ObservedCorners
     unknown: slice
+    solver: SolverSettings
     cameras: FloatArray  # (n, 6, 6)
     points: FloatArray  # (p, d, d)
     between: FloatArray  # (m, d, 6) of a point and a camera
@@ -221,11 +232,12 @@ class _NormalEquations:
             self.camera_gradient.ravel() - through @ self.point_gradient.ravel(),
             self.focal_gradient - (focal_eliminated * self.point_gradient).sum(),
         )
-        if n <= _FEW_CAMERAS:
+        if n <= self.solver.max_direct_cameras:
             move = reduced.solve(-gradient)
         else:
             explained = _grams(eliminated, self.between, self.observations.starts(n))
-            move = reduced.iterate(-gradient, np.asarray(np.linalg.inv(reduced.cameras - explained)))
+            inverses = np.asarray(np.linalg.inv(reduced.cameras - explained))
+            move = reduced.iterate(-gradient, inverses, self.solver)
         point_gradient = self.point_gradient + self.focal_points * move[-1] + (back @ move[:-1]).reshape(p, d)
         turn, shift = np.split(move[:-1].reshape(n, 6), 2, axis=1)
         points = bundle.points.copy()
@@ -241,7 +253,7 @@ class _NormalEquations:
         """Blocks (m, d, 6) of points and cameras as a matrix (6 n, d p); dense if there are few cameras."""
         (camera, point, _), n, (p, d) = self.observations, len(self.cameras), self.focal_points.shape
         blocks = np.swapaxes(blocks, 1, 2)
-        if n > _FEW_CAMERAS:
+        if n > self.solver.max_direct_cameras:
             return sparse.bsr_array((blocks, point, self.observations.starts(n)), shape=(6 * n, d * p)).tocsr()
         dense = np.zeros((n, 6, p, d))
         dense[camera, :, point] = blocks
@@ -269,7 +281,7 @@ class _Reduced:
         matrix[-1, -1] = self.corner
         return np.asarray(np.linalg.solve(matrix, right))
 
-    def iterate(self, right: FloatArray, inverses: FloatArray) -> FloatArray:
+    def iterate(self, right: FloatArray, inverses: FloatArray, solver: SolverSettings) -> FloatArray:
         """The solution by conjugate gradients, with the inverses (n, 6, 6) of the cameras' blocks as preconditioner."""
         n = len(self.cameras)
 
@@ -285,7 +297,7 @@ class _Reduced:
         operator, preconditioner = (
             LinearOperator((len(right), len(right)), work, dtype=np.float64) for work in (product, precondition)
         )
-        move, _ = cg(operator, right, rtol=_CG_TOLERANCE, maxiter=_CG_ITERATIONS, M=preconditioner)
+        move, _ = cg(operator, right, rtol=solver.cg_tolerance, maxiter=solver.max_cg_iterations, M=preconditioner)
         return np.asarray(move)
 
 

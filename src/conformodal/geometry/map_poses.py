@@ -34,7 +34,6 @@ _SCALE_PX = 1.5  # of the Cauchy loss
 _SIGMA_LOG_FOCAL, _SIGMA_MOUNT_RAD, _SIGMA_MOUNT_DEPTHS, _SIGMA_S = 0.2, 0.05, 0.05, 0.02
 _MAX_SIGMAS = 3.0  # further off, the poses do not belong to the images
 
-ROUNDS = 2  # of triangulation and adjustment; sigmas and mount are learnt after each
 MIN_PER_FRAME = 20.0  # observations, on average: with fewer, poses stay as given
 # standard deviations of the given poses at first, and the share to which a round may lower them
 SIGMA_RAD, SIGMA_DEPTHS, _MIN_SIGMA = float(np.radians(1.0)), 0.01, 0.05

@@ -23,6 +23,8 @@ from conformodal.localizer import LocalizationError
 from conformodal.tracking.depths import UNKNOWN_DEPTH, SceneDepth
 from conformodal.tracking.motions import frame_features, run_front_end
 
+from .landmark_settings import LandmarkSettings
+
 
 @dataclass(frozen=True)
 class SourceSettings:
@@ -32,6 +34,7 @@ class SourceSettings:
     margin: float = 0.02  # share of the range by which bins reach beyond the training poses
     sigma_bins: float = 0.7  # width of order-aware labels, in bins
     training: TrainingConfig = field(default_factory=TrainingConfig)  # of networks
+    landmarks: LandmarkSettings = field(default_factory=LandmarkSettings)
 
 
 class ComputedOnce:

@@ -10,6 +10,7 @@ import math
 from array import array
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -50,10 +51,6 @@ _COLOURS = {"region": (86 / 255, 180 / 255, 233 / 255), "places": (0.0, 114 / 25
 _FAINTEST, _FULLEST = 0.15, 0.8
 NAMESPACE = "/conformodal"  # of all topics
 CAMERA_FRAME = "camera_optical_frame"  # of images: x right, y down, z forward
-_MAX_BOXES = 256  # per region, the most probable first
-_RANGE_M = 100.0  # where boxes are cut off, from the chosen position along each axis
-_LONGEST_PATH = 1000  # poses
-_PATH_EVERY = 10  # answered frames per published path
 _CUBE, _DELETE_ALL = 1, 3
 OK, WARN, ERROR = 0, 1, 2  # levels of diagnostics
 
@@ -96,6 +93,16 @@ def is_lost(estimate: Estimate) -> bool:
     return estimate.pose is None or estimate.evidence is EvidenceType.UNKNOWN
 
 
+@dataclass(frozen=True)
+class MessageLimits:
+    """How much messages hold."""
+
+    max_boxes: int = 256  # per region, the most probable first
+    range_m: float = 100.0  # where boxes are cut off, from the chosen position along each axis
+    max_path_poses: int = 1000
+    path_every: int = 10  # answered frames per published path
+
+
 class Conversion:
     """Converts estimates to messages one by one, and keeps the path.
 
@@ -103,14 +110,18 @@ class Conversion:
     classes of rosbags.
     """
 
-    def __init__(self, world_frame: str = "map", make: MakeMessage | None = None) -> None:
+    def __init__(
+        self, world_frame: str = "map", make: MakeMessage | None = None, limits: MessageLimits | None = None
+    ) -> None:
         self._world_frame, self.make = world_frame, make or rosbags_factory()
+        self._limits = limits or MessageLimits()
         self.reset()
 
     def reset(self) -> None:
         """Forget the path: another recording begins."""
-        self._path: deque[tuple[float, Any]] = deque(maxlen=_LONGEST_PATH)
-        self._lost: deque[float] = deque(maxlen=_LONGEST_PATH)  # times
+        most = self._limits.max_path_poses
+        self._path: deque[tuple[float, Any]] = deque(maxlen=most)
+        self._lost: deque[float] = deque(maxlen=most)  # times
         self._n_answered = 0
 
     def messages(self, estimate: Estimate, stamp_ns: int) -> dict[str, Any]:
@@ -224,8 +235,8 @@ class Conversion:
         if is_lost(estimate) or region is None or estimate.pose is None:
             return []
         here = estimate.pose.position_xyz[:, None]
-        places = [(place.box, place.probability) for place in region.places(0)[:_MAX_BOXES]]
-        near = here - _RANGE_M, here + _RANGE_M
+        places = [(place.box, place.probability) for place in region.places(0)[: self._limits.max_boxes]]
+        near = here - self._limits.range_m, here + self._limits.range_m
         return [(np.clip(box[:3], *near), float(probability)) for box, probability in places if box is not None]
 
     def _status(self, estimate: Estimate, header: Any) -> Any:
@@ -237,7 +248,7 @@ class Conversion:
             "known_p": "" if estimate.known_p is None else f"{estimate.known_p:.6g}",
             "motion": "none" if motion is None else str(motion.status),
             "boxes": str(n_boxes),
-            "boxes_shown": str(min(n_boxes, _MAX_BOXES)),
+            "boxes_shown": str(min(n_boxes, self._limits.max_boxes)),
         }
         level = ERROR if lost else OK if estimate.reliable else WARN
         return self.diagnostic(header, level, "pose", estimate.problem or "reliable", pairs)
@@ -248,7 +259,7 @@ class Conversion:
             return False
         if is_lost(estimate):
             self._lost.append(estimate.timestamp_s)
-        due = self._n_answered % _PATH_EVERY == 0
+        due = self._n_answered % self._limits.path_every == 0
         revised = (estimate.revised if due else None) or estimate.pose.at(estimate.timestamp_s)  # hindsight takes time
         first = float(revised.timestamps_s[0])
         while self._path and self._path[-1][0] >= first:

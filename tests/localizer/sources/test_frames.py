@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 from conformodal.geometry import Trajectory, rigid_motions
 from conformodal.io import Recording, Split, SplitKind
 from conformodal.localizer.evidence import FrameEvidence
+from conformodal.localizer.landmark_settings import LandmarkSettings
 from conformodal.localizer.sources.landmarks import LandmarkSource, _keyframes
 from conformodal.localizer.sources.registry import SourceState
-from conformodal.localizer.training_data import TrainingData
+from conformodal.localizer.training_data import SourceSettings, TrainingData
 from conformodal.tracking.depths import SceneDepth
 
 N = 60
@@ -34,8 +35,6 @@ def looked_at(world, monkeypatch):
         "conformodal.localizer.training_data.frame_features",
         lambda sequence, i, detector: asked.append(i) or features[i],
     )
-    # errors learnt from fewer frames: a third of the time
-    monkeypatch.setattr("conformodal.localizer.sources.landmarks._LEFT_OUT", 15)
     return asked
 
 
@@ -45,7 +44,9 @@ def data_of(poses_se3, camera, depth_m):
     truth = Trajectory(times, poses_se3[:, :3, 3], quats)
     sequence = Recording("points", paths, times, np.zeros(N, np.int64), camera, truth)
     nothing = np.zeros((N, 1), np.float32), np.zeros((N, 7))
-    return TrainingData(sequence, ANY_SPLIT, *nothing, quats[0], depth=SceneDepth(depth_m))
+    # errors learnt from fewer frames: a third of the time
+    settings = SourceSettings(landmarks=LandmarkSettings(n_left_out=15))
+    return TrainingData(sequence, ANY_SPLIT, *nothing, quats[0], depth=SceneDepth(depth_m), settings=settings)
 
 
 @pytest.mark.slow
@@ -82,16 +83,16 @@ def test_a_stored_source_answers_the_same_to_the_last_bit(world, looked_at, stat
 def test_frames_of_nearly_the_same_view_are_one_keyframe(step_m, every):
     poses = np.tile(np.eye(4), (N, 1, 1))
     poses[:, 0, 3] = step_m * np.arange(N)
-    np.testing.assert_array_equal(_keyframes(poses, depth_m=1.0), np.arange(0, N, every))
+    np.testing.assert_array_equal(_keyframes(poses, 1.0, LandmarkSettings()), np.arange(0, N, every))
 
 
 def test_a_frame_that_turns_is_a_keyframe():
     turned = rigid_motions(Rotation.from_euler("z", [[0.0], [0.01], [0.02], [0.03]]).as_matrix(), np.zeros((4, 3)))
-    np.testing.assert_array_equal(_keyframes(turned, depth_m=1.0), [0, 3])
+    np.testing.assert_array_equal(_keyframes(turned, 1.0, LandmarkSettings()), [0, 3])
 
 
 def test_of_an_area_at_most_a_thousand_views_are_keyframes():
     poses = np.tile(np.eye(4), (3000, 1, 1))
     poses[:, 0, 3] = 2.0 * (np.arange(3000) % 2) + 100.0 * (np.arange(3000) >= 2900)
-    chosen = _keyframes(poses, depth_m=1.0)
+    chosen = _keyframes(poses, 1.0, LandmarkSettings())
     assert [(chosen < 2900).sum(), (chosen >= 2900).sum()] == [1000, 100]

@@ -4,8 +4,8 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.features.local import LocalFeatures
 from conformodal.geometry.camera import NO_FLOW
-from conformodal.geometry.map_poses import ROUNDS
 from conformodal.geometry.triangulation import triangulate
+from conformodal.localizer.landmark_settings import LandmarkSettings, MapSettings, PoseSettings
 from conformodal.localizer.sources import mapping
 from conformodal.localizer.sources.landmark_map import MIN_INLIERS, LandmarkMap
 from tests.localizer.sources.conftest import CAMERA, DEPTH, make_world, poses_along
@@ -79,20 +79,19 @@ def test_a_rolling_shutter_is_found_and_compensated(world_of, stated_camera, dep
     assert (np.median(off[True], axis=0) < 0.5 * np.median(off[False], axis=0)).all()
 
 
-def test_a_map_is_adjusted_where_the_given_poses_have_errors_of_their_own(
-    world_of, stated_camera, depth_m, monkeypatch
-):
+def test_a_map_is_adjusted_where_the_given_poses_have_errors_of_their_own(world_of, stated_camera, depth_m):
     world, rng = world_of(), np.random.default_rng(1)
     given = world.poses_se3.copy()
     given[:, :3, 3] += rng.normal(0, 0.03, (len(given), 3))
     given[:, :3, :3] = given[:, :3, :3] @ Rotation.from_rotvec(rng.normal(0, 0.01, (len(given), 3))).as_matrix()
     images, off = world.local_features(), {}
-    for rounds in (0, ROUNDS):
-        monkeypatch.setattr(mapping, "ROUNDS", rounds)
-        landmarks = LandmarkMap.build(images, given, stated_camera, depth_m)
+    usual = MapSettings().rounds
+    for rounds in (0, usual):
+        settings = LandmarkSettings(mapping=MapSettings(rounds=rounds))
+        landmarks = LandmarkMap.build(images, given, stated_camera, depth_m, settings=settings)
         found = [landmarks.localize(world.see(world.poses_se3[i], seed=700 + i))[0] for i in range(2, 58, 5)]
         off[rounds] = [errors(one, world.poses_se3[i]) for one, i in zip(found, range(2, 58, 5), strict=True)]
-    assert (np.median(off[ROUNDS], axis=0) < (0.8, 0.95) * np.median(off[0], axis=0)).all()
+    assert (np.median(off[usual], axis=0) < (0.8, 0.95) * np.median(off[0], axis=0)).all()
     true = (world.poses_se3 - given)[:, :3, 3]
     assert np.corrcoef(landmarks.corrections[:, :3].ravel(), true.ravel())[0, 1] > 0.6
 
@@ -103,8 +102,7 @@ def test_weaker_corners_are_triangulated_where_landmarks_are_too_few(world_of, s
     images[3] = images[3]._replace(pixels=images[3].pixels[:0], descriptors=images[3].descriptors[:0])
     given, triangulated = {}, {}
     for first in (40, 10_000):
-        monkeypatch.setattr(mapping, "_MAX_LANDMARKS", 30)
-        monkeypatch.setattr(mapping, "_TRIED_FIRST", first)
+        settings = LandmarkSettings(mapping=MapSettings(max_landmarks=30, tried_first=first))
         triangulated[first] = []
 
         def counted(rays, tolerance, asked=triangulated[first]):
@@ -112,7 +110,7 @@ def test_weaker_corners_are_triangulated_where_landmarks_are_too_few(world_of, s
             return triangulate(rays, tolerance)
 
         monkeypatch.setattr(mapping, "triangulate", counted)
-        given[first] = LandmarkMap.build(images, world.poses_se3, stated_camera, depth_m)
+        given[first] = LandmarkMap.build(images, world.poses_se3, stated_camera, depth_m, settings=settings)
     np.testing.assert_array_equal(given[40].points_xyz, given[10_000].points_xyz)
     np.testing.assert_array_equal(given[40].starts, given[10_000].starts)
     assert np.diff(given[40].starts)[3] == 0
@@ -145,9 +143,10 @@ def test_two_places_that_look_alike_give_two_estimates(world_of, stated_camera, 
 def test_a_place_is_solved_once_though_keyframes_far_apart_show_it(monkeypatch, world_of, stated_camera, depth_m):
     world = world_of()
     world.poses_se3 = poses_along(60, sideways=6.0)
-    landmarks = LandmarkMap.build(world.local_features()[::4], world.poses_se3[::4], stated_camera, depth_m)
+    settings = LandmarkSettings(pose=PoseSettings(max_distance_ratio=100))
+    images, poses = world.local_features()[::4], world.poses_se3[::4]
+    landmarks = LandmarkMap.build(images, poses, stated_camera, depth_m, settings=settings)
     image = world.see(world.poses_se3[30], seed=3)
-    monkeypatch.setattr("conformodal.localizer.sources.landmark_map._MAX_DISTANCE_RATIO", 100)
     (once,) = landmarks.localize(image)
     monkeypatch.setattr(LandmarkMap, "_agree", lambda *_: False)
     every = landmarks.localize(image)

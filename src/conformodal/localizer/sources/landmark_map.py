@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, Self
 
@@ -22,32 +22,11 @@ from conformodal.geometry.map_poses import RigCalibration
 from conformodal.geometry.poses import trusted_rotation
 from conformodal.geometry.triangulation import local_origin
 from conformodal.localizer.evidence import LandmarkView, PoseMeasurement
+from conformodal.localizer.landmark_settings import LandmarkSettings
 
-# Retrieval: keyframes matched in the most similar cluster and in each of the others, clusters at most, and keyframes
-# that are clustered
-_FIRST, _OTHERS, _CLUSTERS, _RETRIEVED = 6, 3, 8, 200
-_SPREAD = 0.05  # scene depths plus radians by which keyframes of a cluster differ; 0.1 makes poses worse on fr1
-_RADIUS = 0.5  # of a cluster, as a share of the scene's depth
-_MAX_DISTANCE_RATIO = 5.0  # descriptor distance of a cluster over that of the first
 MIN_INLIERS = 12  # of a pose
-# Matches of a keyframe, and their share, that agree with a pose by more than chance; those of other places have none
-_AGREEING, _AGREEING_SHARE = 6, 0.1
-_MAX_REPROJECTION_PX = 6.0
-_RANSAC = {"max_reproj_error": _MAX_REPROJECTION_PX, "min_iterations": 50, "seed": 0}
-# Samples at most; of a place that rivals a sure one half of the matches would be right
-_SAMPLES, _SAMPLES_OF_RIVAL = 300, 60
+_RANSAC = {"min_iterations": 50, "seed": 0}
 _REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 1.0, "max_iterations": 10}  # more take long and hardly move a pose
-_MIN_RESIDUAL_PX = 0.5  # no corner is located more precisely
-# Keyframes whose deviations correct an estimate, weighted by one over their distance, to which this is added (scene
-# depths plus radians)
-_CORRECTED_BY, _MIN_DISTANCE = 6, 0.01
-# Guided matching looks for landmarks of keyframes near a pose where the pose says that they are: inliers of a pose that
-# guides (wrong ones have fewer), keyframes, and the number nearest to the pose that these are chosen from
-_GUIDING_INLIERS, _GUIDING_KEYFRAMES, _CONSIDERED = 30, 6, 100
-# Keyframes near an expected pose whose rolls are looked at; and the roll up to which XFeat matches as well as upright
-_ROLLS, _MATCHED_ROLL_RAD = 10, float(np.radians(30.0))
-_MIN_SIGMA = 5e-4  # of given poses, radians and scene depths
-_RADIUS_PX, _CORNERS = 8.0, 4  # corners nearest to a landmark that are compared with it
 
 
 class _Solution(NamedTuple):
@@ -81,6 +60,7 @@ class LandmarkMap:
     descriptors: Descriptors  # (N, B)
     corrections: FloatArray  # (n, 6) adjusted minus given pose of each keyframe: metres and a rotation vector, world
     depth_m: float  # median depth of the scene
+    settings: LandmarkSettings = field(default_factory=LandmarkSettings)
 
     @classmethod
     def build(
@@ -91,6 +71,7 @@ class LandmarkMap:
         depth_m: float,
         progress: Progress | None = None,
         matcher: Matcher | None = None,
+        settings: LandmarkSettings | None = None,
     ) -> Self:
         """Map n frames with known poses (n, 4, 4); a shared `matcher` reuses matches of other maps."""
         from .mapping import triangulate_frames  # noqa: PLC0415 - only learning needs it
@@ -98,7 +79,8 @@ class LandmarkMap:
         origin_xyz = local_origin(poses_se3[:, :3, 3])
         poses_se3 = poses_se3.copy()
         poses_se3[:, :3, 3] -= origin_xyz
-        mapped = triangulate_frames(features, poses_se3, camera, depth_m, progress, matcher or Matcher())
+        matcher, settings = matcher or Matcher(), settings or LandmarkSettings()
+        mapped = triangulate_frames(features, poses_se3, camera, depth_m, progress, matcher, settings.mapping)
         global_descriptors = np.array([one.global_descriptor for one in features], dtype=np.float16)
         return cls(
             *mapped.rig,
@@ -110,6 +92,7 @@ class LandmarkMap:
             mapped.descriptors,
             mapped.corrections,
             depth_m,
+            settings,
         )
 
     def extended(self, features: Sequence[LocalFeatures], poses_se3: FloatArray, progress: Progress | None) -> Self:
@@ -124,9 +107,10 @@ class LandmarkMap:
         moved[:, :3, 3] -= self.origin_xyz
         rig = RigCalibration(self.camera, self.T_pose_cam, self.shutter)
         shift, turn = np.nanmedian(np.abs(self.corrections), axis=0).reshape(2, 3).mean(axis=1) / MAD_OF_NORMAL
-        sigmas = np.repeat([max(turn, _MIN_SIGMA), max(shift, _MIN_SIGMA * self.depth_m)], 3)
+        least = self.settings.pose.min_sigma
+        sigmas = np.repeat([max(turn, least), max(shift, least * self.depth_m)], 3)
         known = KnownFrames(self._projections(), self.poses_se3, self._poses_cam, rig, sigmas)
-        added = triangulate_beside(known, features, moved, self.depth_m, progress)
+        added = triangulate_beside(known, features, moved, self.depth_m, progress, self.settings.mapping)
         described = np.array([one.global_descriptor for one in features], dtype=np.float16)
         return replace(
             self,
@@ -180,18 +164,19 @@ class LandmarkMap:
         """
         shown = ~hidden if hidden is not None else np.ones(len(self.poses_se3), dtype=bool)
         matches, image = {} if matches is None else matches, image.compensate_rolling_shutter(self.shutter, self.camera)
-        estimates: list[PoseMeasurement] = []
+        estimates, settings = list[PoseMeasurement](), self.settings.pose
         guided: list[FloatArray] = []  # the poses that a second matching has confirmed
         for near in self._retrieve(image.global_descriptor, shown):
             first = self._matched(image, near[:1], matches)
             if any(self._agree(first, image, pose) for pose in guided):
                 continue
-            pairs, samples = (first, _SAMPLES_OF_RIVAL) if guided else (self._matched(image, near, matches), _SAMPLES)
+            pairs = first if guided else self._matched(image, near, matches)
+            samples = settings.max_samples_of_rival if guided else settings.max_samples
             solution = self._solve(image, pairs, shown, samples)
             estimate = None if solution is None else self._measured(image, solution, shown)
             if solution is not None and estimate is not None:
                 estimates.append(estimate)
-                if len(solution.corners) >= _GUIDING_INLIERS:
+                if len(solution.corners) >= settings.min_guiding_inliers:
                     guided.append(solution.T_world_cam)
         return estimates
 
@@ -214,14 +199,14 @@ class LandmarkMap:
         """
         expected = Rotation.from_quat(quat_wxyz, scalar_first=True)
         T_world_pose = rigid_motions(expected.as_matrix(), position_xyz - self.origin_xyz)
-        near = np.argsort(self._apart(T_world_pose), kind="stable")[:_ROLLS]
+        near = np.argsort(self._apart(T_world_pose), kind="stable")[: self.settings.pose.n_rolls]
         between = Rotation.from_matrix(self.poses_se3[near, :3, :3]).inv() * expected
         about = Rotation.from_matrix(self.T_pose_cam[:3, :3])
         quats = (about.inv() * between * about).as_quat(scalar_first=True)
         rolls = 2 * np.arctan2(quats[:, 3], quats[:, 0])
         rolls = np.mod(rolls + np.pi, 2 * np.pi) - np.pi
         least = float(rolls[np.argmin(np.abs(rolls))])
-        return least if abs(least) > _MATCHED_ROLL_RAD else 0.0
+        return least if abs(least) > self.settings.pose.matched_roll_rad else 0.0
 
     def _matched(self, image: LocalFeatures, frames: IntArray, matches: dict[int, IntArray]) -> IntArray:
         """Corners of an image and landmarks of some keyframes (m, 2) that match."""
@@ -234,22 +219,24 @@ class LandmarkMap:
     def _agree(self, pairs: IntArray, image: LocalFeatures, T_world_cam: FloatArray) -> bool:
         """Whether more matches of a keyframe agree with a pose than by chance: it shows the same place."""
         pixels, ahead = self._projected(self.points_xyz[pairs[:, 1]].astype(np.float64), T_world_cam)
-        agree = ahead & (np.linalg.norm(pixels - image.pixels[pairs[:, 0]], axis=1) < _MAX_REPROJECTION_PX)
-        return bool(agree.sum() >= max(_AGREEING, _AGREEING_SHARE * len(pairs)))
+        settings = self.settings.pose
+        agree = ahead & (np.linalg.norm(pixels - image.pixels[pairs[:, 0]], axis=1) < settings.max_reprojection_px)
+        return bool(agree.sum() >= max(settings.min_agreeing, settings.min_agreeing_share * len(pairs)))
 
     def _retrieve(self, descriptor: Float32Array, shown: BoolArray) -> list[IntArray]:
         """Keyframes similar to an image, clustered by position, in order of similarity."""
         alike = (self._descriptors @ descriptor).astype(np.float64)
         alike[~shown | (np.diff(self.starts) < MIN_INLIERS)] = -np.inf
-        order = np.argsort(-alike, kind="stable")[:_RETRIEVED]
+        settings = self.settings.pose
+        order = np.argsort(-alike, kind="stable")[: settings.n_retrieved]
         order = order[np.isfinite(alike[order])]
         clusters: list[IntArray] = []
-        while order.size and len(clusters) < _CLUSTERS:
-            if clusters and 1 - alike[order[0]] > _MAX_DISTANCE_RATIO * (1 - alike[clusters[0][0]]):
+        while order.size and len(clusters) < settings.max_clusters:
+            if clusters and 1 - alike[order[0]] > settings.max_distance_ratio * (1 - alike[clusters[0][0]]):
                 break
             apart = np.linalg.norm(self._centres[order] - self._centres[order[0]], axis=1)
-            here = apart < _RADIUS * self.depth_m
-            clusters.append(self._spread(order[here], _OTHERS if clusters else _FIRST))
+            here = apart < settings.radius_depths * self.depth_m
+            clusters.append(self._spread(order[here], settings.n_others if clusters else settings.n_first))
             order = order[~here]
         return clusters
 
@@ -258,7 +245,7 @@ class LandmarkMap:
         chosen: list[int] = []
         while order.size and len(chosen) < most:
             chosen.append(int(order[0]))
-            order = order[self._apart(self.poses_se3[chosen[-1]], order) > _SPREAD]
+            order = order[self._apart(self.poses_se3[chosen[-1]], order) > self.settings.pose.spread]
         return np.array(chosen)
 
     def _apart(self, T_world_pose: FloatArray, frames: IntArray | slice = slice(None)) -> FloatArray:
@@ -275,13 +262,14 @@ class LandmarkMap:
         points, pixels = self.points_xyz[landmarks].astype(np.float64), image.pixels[corners]
         if len(pixels) < MIN_INLIERS:
             return None
-        ransac = _RANSAC | {"max_iterations": samples}
+        settings = self.settings.pose
+        ransac = _RANSAC | {"max_reproj_error": settings.max_reprojection_px, "max_iterations": samples}
         pose, info = poselib.estimate_absolute_pose(pixels, points, self.camera.poselib(), ransac, _REFINEMENT)
         inliers = np.asarray(info["inliers"], dtype=np.bool_)
         if inliers.sum() < MIN_INLIERS:
             return None
         share, T_world_cam = float(inliers.mean()), _camera_to_world(pose)
-        if inliers.sum() >= _GUIDING_INLIERS:
+        if inliers.sum() >= settings.min_guiding_inliers:
             guided = self._refined(image, pose, *self._guided(image, T_world_cam, shown))
             return None if guided is None else guided._replace(inlier_share=share)
         return _Solution(T_world_cam, corners[inliers], landmarks[inliers], share)
@@ -296,7 +284,7 @@ class LandmarkMap:
         refined, _ = poselib.refine_absolute_pose(pixels, points, pose, self.camera.poselib(), _REFINEMENT)
         T_world_cam = _camera_to_world(refined)
         projected, ahead = self._projected(points, T_world_cam)
-        agree = ahead & (np.linalg.norm(projected - pixels, axis=1) < _MAX_REPROJECTION_PX)
+        agree = ahead & (np.linalg.norm(projected - pixels, axis=1) < self.settings.pose.max_reprojection_px)
         if agree.sum() < MIN_INLIERS:
             return None
         return _Solution(T_world_cam, corners[agree], landmarks[agree], float(agree.mean()))
@@ -321,12 +309,13 @@ class LandmarkMap:
     def _guided(self, image: LocalFeatures, T_world_cam: FloatArray, shown: BoolArray) -> tuple[IntArray, IntArray]:
         """Corners and landmarks (m,) that match where the keyframes nearest to a pose say that they are."""
         order = np.argsort(np.where(shown, self._apart(T_world_cam @ np.linalg.inv(self.T_pose_cam)), np.inf))
-        near = self._spread(order[: min(_CONSIDERED, int(shown.sum()))], _GUIDING_KEYFRAMES)
+        settings = self.settings.pose
+        near = self._spread(order[: min(settings.n_considered, int(shown.sum()))], settings.n_guiding)
         landmarks = np.concatenate([np.arange(self.starts[i], self.starts[i + 1]) for i in near.tolist()])
         pixels_seen, ahead = self._projected(self.points_xyz[landmarks].astype(np.float64), T_world_cam)
         landmarks, pixels_seen = landmarks[ahead], pixels_seen[ahead]
-        nearest = np.arange(1, min(_CORNERS, len(image.pixels)) + 1)
-        away, corners = KDTree(image.pixels).query(pixels_seen, nearest, distance_upper_bound=_RADIUS_PX)
+        nearest = np.arange(1, min(settings.n_corners, len(image.pixels)) + 1)
+        away, corners = KDTree(image.pixels).query(pixels_seen, nearest, distance_upper_bound=settings.radius_px)
         rows, columns = np.nonzero(np.isfinite(away))
         corners = np.asarray(corners)[rows, columns]
         alike, enough = similar_enough(image.descriptors[corners], self.descriptors[landmarks[rows]])
@@ -358,8 +347,9 @@ class LandmarkMap:
         corrected = np.flatnonzero(shown & np.isfinite(self.corrections).all(axis=1))
         if corrected.size == 0:
             return np.zeros(6), np.zeros(2), away
-        nearest = corrected[np.argsort(apart[corrected], kind="stable")[:_CORRECTED_BY]]
-        corrections, weights = self.corrections[nearest], 1 / (apart[nearest] + _MIN_DISTANCE)
+        settings = self.settings.pose
+        nearest = corrected[np.argsort(apart[corrected], kind="stable")[: settings.n_corrected_by]]
+        corrections, weights = self.corrections[nearest], 1 / (apart[nearest] + settings.min_distance)
         weights /= weights.sum()
         mean = weights @ corrections
         variance = weights @ (corrections - mean) ** 2
@@ -375,7 +365,7 @@ class LandmarkMap:
             return None
         plane = local[:, :2] / depth[:, None]
         off = np.linalg.norm(plane - self.camera.on_plane(pixels), axis=1)
-        least = 2 * _MIN_RESIDUAL_PX / (self.camera.fx + self.camera.fy)
+        least = 2 * self.settings.pose.min_residual_px / (self.camera.fx + self.camera.fy)
         residual = max(float(np.median(off)) / MEDIAN_OF_NORM2, least)
         # derivatives of points on the plane by the camera's motion, along and about its axes
         (x, y), inverse = plane.T, 1 / depth

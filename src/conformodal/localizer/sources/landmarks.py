@@ -29,6 +29,7 @@ from conformodal.localizer.evidence import (
     PoseMeasurement,
     fit_error_model,
 )
+from conformodal.localizer.landmark_settings import LandmarkSettings
 from conformodal.localizer.training_data import TrainingData
 
 from .landmark_map import LandmarkMap
@@ -52,16 +53,6 @@ _SETTINGS = {
     "errors": ErrorModel.json_schema(n_support=3),
     "grid": (None, [Range(1, whole=True)] * 2),
 }
-# From a keyframe to the next, in scene depths plus radians: views between say the same again. With 0.015 to 0.04, a
-# half to a fifth of the frames of redkitchen, poses by SfM are a tenth better in the median than with all frames
-# (blocks, seeds 20 to 22) and as good (interleaved, seeds 20, 21); by KinectFusion's poses they get worse from 0.04 on
-_KEYFRAME_STEP = 0.025
-_MAX_KEYFRAMES, _AREA = 1000, 5.0  # of an area, and its radius in scene depths
-_LEFT_OUT = 100  # keyframes that the error model is learnt from
-# Keyframes whose view overlaps by more than this are hidden from a left-out one, so that hardly anything it sees is
-# mapped; and the weight of such a case.
-_HIDDEN_OVERLAPS, _HIDDEN_WEIGHT = (0.0, 0.3), 0.05
-_SAME_PLACE = 0.5  # share of the scene's depth within which an estimate is of the same place
 
 
 @register_source
@@ -103,18 +94,19 @@ class LandmarkSource:
             return None
         pieces = data.stretches if len(np.unique(data.pieces[frames])) < 2 else data.pieces
         truth = data.sequence.require_truth()
-        chosen = frames[_keyframes(truth[frames].poses_se3, data.depth.median_m)]
+        settings = data.settings.landmarks
+        chosen = frames[_keyframes(truth[frames].poses_se3, data.depth.median_m, settings)]
         features, truth = data.local_features(chosen), truth[chosen]
-        left_out, report = evenly_spread(len(chosen), _LEFT_OUT), stage_of(data.progress, "landmarks")
+        left_out, report = evenly_spread(len(chosen), settings.n_left_out), stage_of(data.progress, "landmarks")
 
         def done(before: int) -> Progress | None:
             return None if report is None else lambda n, _: report(before + n, len(chosen) + len(left_out))
 
-        camera, depth_m = data.sequence.camera, data.depth.median_m
-        landmarks = LandmarkMap.build(features, truth.poses_se3, camera, depth_m, done(0), data.computed.matcher)
+        camera, depth_m, matcher = data.sequence.camera, data.depth.median_m, data.computed.matcher
+        landmarks = LandmarkMap.build(features, truth.poses_se3, camera, depth_m, done(0), matcher, settings)
         groups = pieces[chosen], data.stretches[chosen]
         held_out = _held_out_errors(landmarks, features, truth, groups, left_out, done(len(chosen)))
-        errors = _fit_errors(held_out, depth_m)
+        errors = _fit_errors(held_out, landmarks)
         grid = None if data.detector.describes_images else data.grid
         return None if errors is None else cls(landmarks, frames, errors, grid, held_out)
 
@@ -125,8 +117,9 @@ class LandmarkSource:
         stretch or their surroundings hidden; without `learn_errors` they stay as they were.
         """
         every, whole = data.sequence.require_truth(), np.arange(len(numbers))
-        chosen = whole[_keyframes(every.poses_se3, self.map.depth_m)]
-        left_out = evenly_spread(len(chosen), _LEFT_OUT if learn_errors else 0)
+        settings = self.map.settings
+        chosen = whole[_keyframes(every.poses_se3, self.map.depth_m, settings)]
+        left_out = evenly_spread(len(chosen), settings.n_left_out if learn_errors else 0)
         report = stage_of(data.progress, "landmarks")
 
         def done(before: int) -> Progress | None:
@@ -140,7 +133,7 @@ class LandmarkSource:
         groups = np.zeros(len(chosen), dtype=np.int64), data.stretches[chosen]
         added = _held_out_errors(mapped, features, truth, groups, left_out, done(len(chosen)))
         held_out = np.concatenate((self.held_out, added))
-        return replace(grown, errors=_fit_errors(held_out, mapped.depth_m) or self.errors, held_out=held_out)
+        return replace(grown, errors=_fit_errors(held_out, mapped) or self.errors, held_out=held_out)
 
     def answer(self, evidence: FrameEvidence) -> SourceAnswer:
         """At most one estimate per retrieval cluster; none for images without local features."""
@@ -179,7 +172,8 @@ class LandmarkSource:
         return self._precise([self.errors.apply(one, *_support(one)) for one in self.map.localize(image)])
 
     def _precise(self, estimates: list[PoseMeasurement]) -> list[PoseMeasurement]:
-        return [one for one in estimates if one.sigma_m < _SAME_PLACE * self.map.depth_m]
+        most_m = self.map.settings.same_place_depths * self.map.depth_m
+        return [one for one in estimates if one.sigma_m < most_m]
 
     def state(self) -> SourceState:
         """The map's arrays and camera, and the errors."""
@@ -203,33 +197,42 @@ class LandmarkSource:
             motions = arrays[name].reshape(-1, 4, 4)
             if rotation_faults(motions[:, :3, :3]) or not np.allclose(motions[:, 3], (0, 0, 0, 1)):
                 raise LocalizationError(f"array {name} must hold rigid motions")
-        mapped = LandmarkMap(camera=PinholeCamera(**settings["camera"]), depth_m=float(settings["depth_m"]), **arrays)
+        mapped = LandmarkMap(
+            camera=PinholeCamera(**settings["camera"]),
+            depth_m=float(settings["depth_m"]),
+            settings=LandmarkSettings(),
+            **arrays,
+        )
         grid = None if grid is None else tuple(grid)
         return cls(
             mapped, state.arrays["frames"], ErrorModel.from_json(settings["errors"]), grid, state.arrays["held_out"]
         )
 
 
-def _keyframes(poses_se3: FloatArray, depth_m: float) -> IntArray:
+def _keyframes(poses_se3: FloatArray, depth_m: float, settings: LandmarkSettings) -> IntArray:
     """Of frames with poses (n, 4, 4), those whose view differs from that of the keyframe before, in order.
 
-    Of each area, at most 1000 that are evenly spread over it; the first keyframe that is in no area is the middle of
-    the next.
+    Of each area, at most `max_keyframes` that are evenly spread over it; the first keyframe that is in no area is the
+    middle of the next.
     """
-    left, chosen, positions = _distinct_views(poses_se3, depth_m), list[IntArray](), poses_se3[:, :3, 3]
+    left, chosen, positions = (
+        _distinct_views(poses_se3, depth_m, settings.keyframe_step),
+        list[IntArray](),
+        poses_se3[:, :3, 3],
+    )
     while left.size:
-        near = np.linalg.norm(positions[left] - positions[left[0]], axis=1) < _AREA * depth_m
+        near = np.linalg.norm(positions[left] - positions[left[0]], axis=1) < settings.area_depths * depth_m
         area, left = left[near], left[~near]
-        chosen.append(area[evenly_spread(len(area), _MAX_KEYFRAMES)])
+        chosen.append(area[evenly_spread(len(area), settings.max_keyframes)])
     return np.sort(np.concatenate(chosen))
 
 
-def _distinct_views(poses_se3: FloatArray, depth_m: float) -> IntArray:
+def _distinct_views(poses_se3: FloatArray, depth_m: float, step: float) -> IntArray:
     """Of frames with poses (n, 4, 4), the first, and each that is a step away from the one chosen before."""
     chosen, positions, axes = [0], poses_se3[:, :3, 3] / depth_m, poses_se3[:, :3, :3]
     for i in range(1, len(poses_se3)):
         turn = np.arccos(np.clip((np.sum(axes[i] * axes[chosen[-1]]) - 1) / 2, -1, 1))
-        if turn + np.linalg.norm(positions[i] - positions[chosen[-1]]) > _KEYFRAME_STEP:
+        if turn + np.linalg.norm(positions[i] - positions[chosen[-1]]) > step:
             chosen.append(i)
     return np.array(chosen)
 
@@ -249,7 +252,7 @@ def _held_out_errors(
     """
     from .mapping import view_overlap  # noqa: PLC0415 - only learning needs it
 
-    n_before = len(landmarks.poses_se3) - len(features)
+    n_before, settings = len(landmarks.poses_se3) - len(features), landmarks.settings
 
     def estimated(i: int) -> list[tuple[float, ...]]:
         rows: list[tuple[float, ...]] = []
@@ -257,7 +260,7 @@ def _held_out_errors(
         overlap = view_overlap(landmarks.poses_se3, n_before + i, landmarks.camera, landmarks.depth_m)
         earlier = np.zeros(n_before, dtype=np.bool_)
         hidings = [(np.concatenate((earlier, group == group[i])), 1.0) for group in groups]
-        hidings += [(overlap > share, _HIDDEN_WEIGHT) for share in _HIDDEN_OVERLAPS]
+        hidings += [(overlap > share, settings.hidden_weight) for share in settings.hidden_overlaps]
         estimates: dict[bytes, list[PoseMeasurement]] = {}  # pieces may be stretches
         for hidden, weight in hidings:
             key = hidden.tobytes()
@@ -274,13 +277,13 @@ def _held_out_errors(
     return np.array(rows).reshape(-1, 9)
 
 
-def _fit_errors(held_out: FloatArray, depth_m: float) -> ErrorModel | None:
+def _fit_errors(held_out: FloatArray, landmarks: LandmarkMap) -> ErrorModel | None:
     """The error model of estimates (m, 9), see :attr:`LandmarkSource.held_out`; None of too few."""
     if len(held_out) < MIN_ESTIMATES:
         return None
     off, sigma_m, angle, sigma_rad, distance, weights = held_out[:, :6].T
     errors = HeldOutErrors(off, sigma_m, angle, sigma_rad, distance, held_out[:, 6:], weights)
-    return fit_error_model(errors, _SAME_PLACE * depth_m)
+    return fit_error_model(errors, landmarks.settings.same_place_depths * landmarks.depth_m)
 
 
 def _support(one: PoseMeasurement) -> tuple[float, float, float]:

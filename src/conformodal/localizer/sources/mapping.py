@@ -15,7 +15,6 @@ from conformodal.features.local import Descriptors, LocalFeatures, Matcher
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.map_poses import (
     MIN_PER_FRAME,
-    ROUNDS,
     SIGMA_DEPTHS,
     SIGMA_RAD,
     InlierRays,
@@ -28,17 +27,7 @@ from conformodal.geometry.map_poses import (
     inlier_rays,
 )
 from conformodal.geometry.triangulation import Points, Rays, triangulate
-
-_MAX_LANDMARKS = 300  # of a frame
-_TRIED_FIRST = 450  # strongest corners of a frame; the others are triangulated where these give too few landmarks
-_MAX_TRACKED = 200  # corners of a frame that are triangulated to adjust poses: those that most frames see
-_FRAMES_AT_A_TIME = 32  # that are triangulated
-_PARTNERS = 10  # frames in which a frame's corners are sought; pairs serve both
-_MAX_TURNED_RAD, _USUAL_TURN_RAD = float(np.radians(35.0)), float(np.radians(15.0))  # of partners
-# Distances of partners, in scene depths: too near gives no parallax, too far sees other things.
-_NEAREST, _BEST, _FARTHEST = 0.02, 0.15, 0.8
-_TOLERANCE_PX = 4.0  # of a ray
-_MATCHES_PER_PAIR = 40  # that the camera is fitted with
+from conformodal.localizer.landmark_settings import MapSettings
 
 
 class TriangulatedFrames(NamedTuple):
@@ -58,15 +47,16 @@ def triangulate_frames(
     depth_m: float,
     progress: Progress | None,
     matcher: Matcher,
+    settings: MapSettings,
 ) -> TriangulatedFrames:
     """Triangulate corners of n frames with known poses (n, 4, 4), which are adjusted with them."""
-    pairs = _matched(features, _partners(poses_se3, depth_m), matcher, progress)
-    rig = fit_camera(_some_matches(features, pairs), poses_se3, camera, depth_m)
+    pairs = _matched(features, _partners(poses_se3, depth_m, settings), matcher, progress)
+    rig = fit_camera(_some_matches(features, pairs, settings.matches_per_pair), poses_se3, camera, depth_m)
     features = [one.compensate_rolling_shutter(rig.shutter, camera) for one in features]
-    work = _Triangulation(features, pairs)
+    work = _Triangulation(features, pairs, settings)
     sigmas = np.repeat([SIGMA_RAD, SIGMA_DEPTHS * depth_m], 3)
     current = MapPoses(rig, poses_se3 @ rig.T_pose_cam, sigmas)
-    for _ in range(ROUNDS):
+    for _ in range(settings.rounds):
         tracks = work.tracks(current)
         if len(tracks.frame) < MIN_PER_FRAME * len(features):
             break
@@ -90,6 +80,7 @@ def triangulate_beside(
     poses_se3: FloatArray,
     depth_m: float,
     progress: Progress | None,
+    settings: MapSettings,
 ) -> TriangulatedFrames:
     """Triangulate corners of m more frames with known poses (m, 4, 4), in a map whose poses and camera stay.
 
@@ -98,12 +89,12 @@ def triangulate_beside(
     n, rig = len(known.features), known.rig
     features = [one.compensate_rolling_shutter(rig.shutter, rig.camera) for one in features]
     every = [*known.features, *features]
-    partners = _partners(np.concatenate((known.poses_se3, poses_se3)), depth_m)
+    partners = _partners(np.concatenate((known.poses_se3, poses_se3)), depth_m, settings)
     partners[:n] = [np.empty(0, np.int64)] * n
-    work = _Triangulation(every, _matched(every, partners, Matcher(), progress), first=n)
+    work = _Triangulation(every, _matched(every, partners, Matcher(), progress), settings, first=n)
     expected = poses_se3 @ rig.T_pose_cam
     current = MapPoses(rig, np.concatenate((known.poses_cam, expected)), known.sigmas)
-    for _ in range(ROUNDS):
+    for _ in range(settings.rounds):
         tracks = work.tracks(current)
         if len(tracks.frame) < MIN_PER_FRAME * len(features):
             break
@@ -115,19 +106,23 @@ class _Triangulation:
     """Triangulates the corners of the frames from `first` on, from their matches with all frames."""
 
     def __init__(
-        self, features: Sequence[LocalFeatures], pairs: Sequence[Sequence[tuple[int, IntArray]]], first: int = 0
+        self,
+        features: Sequence[LocalFeatures],
+        pairs: Sequence[Sequence[tuple[int, IntArray]]],
+        settings: MapSettings,
+        first: int = 0,
     ) -> None:
-        self._features, self._pairs, self._first = features, pairs, first
+        self._features, self._pairs, self._settings, self._first = features, pairs, settings, first
         self._before = np.concatenate(([0], np.cumsum([len(f.pixels) for f in features])))
-        starts, n = range(first, len(features), _FRAMES_AT_A_TIME), len(features)
-        self._chunks = [range(a, min(a + _FRAMES_AT_A_TIME, n)) for a in starts]
+        n, at_a_time = len(features), settings.frames_at_a_time
+        self._chunks = [range(a, min(a + at_a_time, n)) for a in range(first, n, at_a_time)]
 
     def tracks(self, current: MapPoses) -> Tracks:
         """Tracks that adjust poses."""
 
         def sightings(few: range) -> InlierRays:
             rays = self._rays(current, [(i, self._most_seen(i)) for i in few])
-            return inlier_rays(rays, triangulate(rays, _tolerance(current)), _tolerance(current))
+            return inlier_rays(rays, triangulate(rays, self._tolerance(current)), self._tolerance(current))
 
         return choose_tracks(in_threads(sightings, self._chunks), len(self._features))
 
@@ -139,7 +134,7 @@ class _Triangulation:
 
         points = Points(*map(np.concatenate, zip(*in_threads(landmarks, self._chunks), strict=True)))
         starts = self._before[self._first :] - self._before[self._first]
-        reliable = _first_of_frames(points.reliable, starts)
+        reliable = _first_of_frames(points.reliable, starts, self._settings.max_landmarks)
         return TriangulatedFrames(
             rig=current.rig,
             starts=np.concatenate(([0], np.cumsum(reliable)))[starts],
@@ -154,21 +149,21 @@ class _Triangulation:
         points = Points(np.full((sum(counts), 3), np.nan), np.zeros(sum(counts), dtype=np.bool_))
         starts = np.concatenate(([0], np.cumsum(counts)))
         short = dict.fromkeys(range(len(few)), 0)  # frames, and the first corner that was not tried
-        for end in (_TRIED_FIRST, max(counts)):
+        for end in (self._settings.tried_first, max(counts)):
             rows = [(k, np.arange(first, min(end, counts[k]))) for k, first in short.items() if first < counts[k]]
             if rows:
-                found = triangulate(self._rays(current, [(few[k], at) for k, at in rows]), _tolerance(current))
+                found = triangulate(self._rays(current, [(few[k], at) for k, at in rows]), self._tolerance(current))
                 at = np.concatenate([starts[k] + at for k, at in rows])
                 points.xyz[at], points.reliable[at] = found
             n_reliable = np.diff(np.concatenate(([0], np.cumsum(points.reliable)))[starts])
-            short = {k: end for k in short if n_reliable[k] < _MAX_LANDMARKS}
+            short = {k: end for k in short if n_reliable[k] < self._settings.max_landmarks}
         return points
 
     def _most_seen(self, i: int) -> IntArray:
         """The corners of a frame that most others see, in order."""
         corners = np.concatenate([np.empty(0, np.int64), *(pair[:, 0] for _, pair in self._pairs[i])])
         often = np.bincount(corners, minlength=len(self._features[i].pixels))
-        return np.sort(np.argsort(-often, kind="stable")[:_MAX_TRACKED])
+        return np.sort(np.argsort(-often, kind="stable")[: self._settings.max_tracked])
 
     def _rays(self, current: MapPoses, chosen: Sequence[tuple[int, IntArray]]) -> Rays:
         """Rays of some corners of some frames."""
@@ -191,12 +186,17 @@ class _Triangulation:
         poses_cam = current.poses_cam
         return Rays(corner[order], ray_number, camera_of, plane, poses_cam[:, :3, :3], poses_cam[:, :3, 3])
 
+    def _tolerance(self, current: MapPoses) -> float:
+        """Radians by which a ray may miss a landmark."""
+        camera = current.rig.camera
+        return 2 * self._settings.tolerance_px / (camera.fx + camera.fy)
 
-def _first_of_frames(reliable: BoolArray, starts: IntArray) -> BoolArray:
-    """The first reliable corners of each frame, in the order of the detector: the strongest."""
+
+def _first_of_frames(reliable: BoolArray, starts: IntArray, most: int) -> BoolArray:
+    """At `most` so many reliable corners of each frame, the first in the order of the detector: the strongest."""
     count = np.concatenate(([0], np.cumsum(reliable)))
     frame = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-    return reliable & (count[:-1] - count[starts[frame]] < _MAX_LANDMARKS)
+    return reliable & (count[:-1] - count[starts[frame]] < most)
 
 
 def view_overlap(poses_se3: FloatArray, i: int, camera: PinholeCamera, depth_m: float) -> FloatArray:
@@ -218,18 +218,19 @@ def view_overlap(poses_se3: FloatArray, i: int, camera: PinholeCamera, depth_m: 
     return np.asarray(inside.mean(axis=1))
 
 
-def _partners(poses_se3: FloatArray, depth_m: float) -> list[IntArray]:
+def _partners(poses_se3: FloatArray, depth_m: float, settings: MapSettings) -> list[IntArray]:
     """For each frame, others that see the same scene from other positions; the best first."""
     centres, forward = poses_se3[:, :3, 3], poses_se3[:, :3, 2]
     partners = []
     for centre, ahead in zip(centres, forward, strict=True):
         turned = np.arccos(np.clip(forward @ ahead, -1, 1))
         apart = np.linalg.norm(centres - centre, axis=1) / depth_m
-        others = np.flatnonzero((turned < _MAX_TURNED_RAD) & (apart > _NEAREST) & (apart < _FARTHEST))
-        cost = np.abs(np.log(apart[others] / _BEST)) + turned[others] / _USUAL_TURN_RAD
-        others = others[np.argsort(cost, kind="stable")[: 5 * _PARTNERS]]
+        inside = (apart > settings.nearest_depths) & (apart < settings.farthest_depths)
+        others = np.flatnonzero((turned < settings.max_turned_rad) & inside)
+        cost = np.abs(np.log(apart[others] / settings.best_depths)) + turned[others] / settings.usual_turn_rad
+        others = others[np.argsort(cost, kind="stable")[: 5 * settings.partners]]
         # neighbours in time say the same: take one of every few
-        partners.append(others[:: max(1, len(others) // _PARTNERS)][:_PARTNERS])
+        partners.append(others[:: max(1, len(others) // settings.partners)][: settings.partners])
     return partners
 
 
@@ -253,20 +254,16 @@ def _matched(
     return matched
 
 
-def _some_matches(features: Sequence[LocalFeatures], pairs: Sequence[Sequence[tuple[int, IntArray]]]) -> Matches:
+def _some_matches(
+    features: Sequence[LocalFeatures], pairs: Sequence[Sequence[tuple[int, IntArray]]], per_pair: int
+) -> Matches:
     rng, moving = np.random.default_rng(0), [one.flows for one in features]
     frames, pixels, flows = [np.empty((0, 2), np.int64)], [np.empty((0, 2, 2))], [np.empty((0, 2, 2))]
     for i, others in enumerate(pairs):
         for j, matches in others:
             if i < j:
-                some = matches[rng.permutation(len(matches))[:_MATCHES_PER_PAIR]]
+                some = matches[rng.permutation(len(matches))[:per_pair]]
                 frames.append(np.tile([i, j], (len(some), 1)))
                 pixels.append(np.stack((features[i].pixels[some[:, 0]], features[j].pixels[some[:, 1]]), axis=1))
                 flows.append(np.stack((moving[i][some[:, 0]], moving[j][some[:, 1]]), axis=1))
     return Matches(np.concatenate(frames), np.concatenate(pixels), np.concatenate(flows))
-
-
-def _tolerance(current: MapPoses) -> float:
-    """Radians by which a ray may miss a landmark."""
-    camera = current.rig.camera
-    return 2 * _TOLERANCE_PX / (camera.fx + camera.fy)
