@@ -2,24 +2,25 @@
 
 python benchmarks/long_stream.py
 
-The corridor of the demo trains a small model; its frames, of 160x120 pixels, then come forwards and backwards as one
-endless stream, whose results are written as `run` writes them. The stream has a process of its own.
+redkitchen in 160x120 pixels trains a small model; some of its frames then come forwards and backwards as one endless
+stream, whose results are written as `run` writes them. The stream has a process of its own.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import shutil
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+import cv2
 import numpy as np
-from common import parser_of, write_table
+from common import REDKITCHEN, parser_of, write_table
 
 from conformodal.core.arrays import FloatArray
-from conformodal.corridor import write_corridor
 from conformodal.features.extract import FeatureCache
 from conformodal.features.settings import TrainingConfig
 from conformodal.io import read_recording
@@ -32,21 +33,37 @@ from conformodal.pipeline.stream import StreamRunner
 from conformodal.pipeline.train import prepare_training_data, train_model
 
 FRAMES, RATE, SHOWN = 200_000, 30, 100  # frames per second; images, which come forwards and backwards
+MAPPED, SHRUNK = 400, 4  # frames that the model is trained on, and the factor by which images are smaller
 WARM_SHARE, BLOCKS = 0.1, 10  # of the frames, which are not compared; blocks of equal length
 WINDOW, OVERLAP = 400, 60  # of whole paths: smaller than those of a run, so that each block has some
 SOURCES, N_BINS = ("head", "neighbours", "landmarks"), 16  # per target
 
 
+def write_small(folder: Path) -> None:
+    """The first frames of redkitchen in small images."""
+    folder.mkdir(parents=True)
+    intrinsics = np.loadtxt(REDKITCHEN.parent / "camera-intrinsics.txt")
+    intrinsics[:2] /= SHRUNK
+    np.savetxt(folder / "camera-intrinsics.txt", intrinsics)
+    for file in sorted(REDKITCHEN.glob("*.color.*"))[:MAPPED]:
+        image = cv2.imread(str(file))
+        small = cv2.resize(image, None, fx=1 / SHRUNK, fy=1 / SHRUNK, interpolation=cv2.INTER_AREA)
+        name = file.name.partition(".")[0]
+        cv2.imwrite(str(folder / f"{name}.color.png"), small)
+        shutil.copy(file.with_name(f"{name}.pose.txt"), folder)
+
+
 def train_briefly(folder: Path) -> None:
-    """Write a corridor of three modules, and a model of it whose training is short."""
-    sequence = read_recording(write_corridor(folder / "corridor", n_modules=3, n_laps=1, seed=3))
+    """Write a small recording, and a model of it whose training is short."""
+    write_small(folder / "small")
+    sequence = read_recording(folder / "small")
     config = ModelConfig(sources=SOURCES, features="xfeat", n_bins=N_BINS, training=TrainingConfig(epochs=5))
     save_model(train_model(prepare_training_data(sequence, config, FeatureCache(None)), config), folder / "model")
 
 
 def answer(folder: Path, n_frames: int) -> FloatArray:
     """CPU seconds of each frame, and resident memory in MB after it, (n, 2)."""
-    sequence, odometry = read_recording(folder / "corridor"), VisualOdometry.load(folder / "model")
+    sequence, odometry = read_recording(folder / "small"), VisualOdometry.load(folder / "model")
     images = [sequence.image(i) for i in range(SHOWN)]
     order = [*range(SHOWN), *range(SHOWN - 2, 0, -1)]
     measured = np.zeros((n_frames, 2))
