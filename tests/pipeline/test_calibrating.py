@@ -180,7 +180,7 @@ def test_held_out_stretches_are_looked_at_as_streams_and_rolled_images_turned(mo
     )
     held_out, units = np.array([1, 2, 3, 5, 6, 7]), np.array([1, 1, 1, 1, 0, 0, 0, 0])
     found = calibrating.beliefs_of_streams(
-        data, units, dict.fromkeys(range(8)), calibrating.HeldOutStreams(held_out, Rolled(), carries=True)
+        units, dict.fromkeys(range(8)), calibrating.HeldOutStreams(data, held_out, Rolled(), carries=True)
     )
     # by the pose of the frame before, which a turned image gives anew; the first of a stretch is upright
     assert sorted(turned) == [(2, 0.1, 2, 0), (3, 0.2, 3, 0), (6, 0.5, 6, 0), (7, 0.6, 7, 0)]

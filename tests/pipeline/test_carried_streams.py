@@ -106,7 +106,7 @@ def held_out(model):
 def test_calibration_answers_a_held_out_stretch_as_a_run_does(model, answers, held_out):
     (data, looks), frames, features = held_out, FRAMES, held_out[0].features
     beliefs = beliefs_of_streams(
-        data, np.zeros(N_FRAMES, np.int64), looks.motions, HeldOutStreams(frames, model.localizer, carries=True)
+        np.zeros(N_FRAMES, np.int64), looks.motions, HeldOutStreams(data, frames, model.localizer, carries=True)
     )
     for k, estimate in enumerate(answers[0]):
         mine, its = beliefs.mixtures[k], estimate.candidates
@@ -135,11 +135,11 @@ def test_single_frames_are_looked_at_as_often_as_features_are_detected(model, he
     monkeypatch.setattr(Localizer, "beliefs", beliefs)
     monkeypatch.setattr(TurnTracker, "advance", lambda self, motion: turned.append(motion))
     labels = np.zeros(N_FRAMES, np.int64)
-    alone = beliefs_of_streams(data, labels, looks.motions, HeldOutStreams(FRAMES, localizer, carries=False))
+    alone = beliefs_of_streams(labels, looks.motions, HeldOutStreams(data, FRAMES, localizer, carries=False))
     assert asked == [0, 5, 10]
     assert [alone.mixtures[k] is alone.mixtures[5] for k in (4, 5, 9, 10)] == [False, True, True, False]
     assert turned == [looks.motions[k] for k in FRAMES]  # the camera's roll is followed through all of them
     asked.clear()
     lost.rows = {0, 6}  # a run goes on detecting until a place is recognised
-    beliefs_of_streams(data, labels, looks.motions, HeldOutStreams(FRAMES, localizer, carries=False))
+    beliefs_of_streams(labels, looks.motions, HeldOutStreams(data, FRAMES, localizer, carries=False))
     assert asked == [0, 1, 6, 7, 12]

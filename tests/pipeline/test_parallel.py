@@ -60,6 +60,7 @@ def test_workers_are_those_of_joblib_and_give_the_same(workers):
     with joblib.parallel_config(n_jobs=workers):
         assert in_workers(sqrt, range(5)) == [sqrt(i) for i in range(5)]
         assert (os.getpid() in in_workers(lambda _: os.getpid(), range(3))) == (workers == 1)
+        assert in_workers(lambda _: os.getpid(), [0]) == [os.getpid()]  # one alone has all threads here
         with pytest.raises(ValueError, match=r"math domain|expected a nonnegative"):
             in_workers(sqrt, [1, -1])
 

@@ -57,34 +57,23 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: 
     return [future.result() for future in futures]
 
 
-def in_workers(
-    work: Callable[[Item], Result],
-    items: Sequence[Item],
-    progress: Progress | None = None,
-    *,
-    here: Sequence[Item] = (),
-) -> list[Result]:
-    """As :func:`in_threads`, by the workers of :func:`joblib.parallel_config` if there are any.
-
-    Threads of this process work on what is to be done `here` meanwhile; its results come first.
-    """
+def in_workers(work: Callable[[Item], Result], items: Sequence[Item], progress: Progress | None = None) -> list[Result]:
+    """As :func:`in_threads`, by the workers of :func:`joblib.parallel_config` if there are any and several items."""
     try:
         workers = Parallel(return_as="generator", batch_size=1)
     except ValueError:  # the backend, as Ray's, has no generator: progress comes at the end
         workers = Parallel(batch_size=1)
-    if workers.n_jobs == 1:
-        return in_threads(work, [*here, *items], progress)
+    if workers.n_jobs == 1 or len(items) < 2:
+        return in_threads(work, items, progress)
     results = list[Result]()
     try:
-        running = workers(delayed(_alone)(work, item) for item in items)
-        done_here = in_threads(work, here)
-        for result in running:
+        for result in workers(delayed(_alone)(work, item) for item in items):
             results.append(result)
             if progress is not None:
                 progress(len(results), len(items))
     except BrokenProcessPool:
         raise ConformodalError("a worker process was killed, perhaps for its memory: take fewer workers") from None
-    return [*done_here, *results]
+    return results
 
 
 def _alone(work: Callable[[Item], Result], item: Item) -> Result:

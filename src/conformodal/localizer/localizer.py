@@ -17,7 +17,7 @@ import numpy as np
 from conformodal.conformal import QuantileBins, Regions
 from conformodal.conformal.scores import Aps
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray
-from conformodal.core.parallel import in_workers, raise_if_cancelled, release_freed_memory
+from conformodal.core.parallel import in_threads, in_workers, raise_if_cancelled, release_freed_memory
 from conformodal.core.progress import stage_of
 
 from . import LocalizationError
@@ -109,9 +109,9 @@ class Localizer:
     def fit_each(cls, data: TrainingData, parts: Sequence[IntArray], names: Sequence[str]) -> list[Self]:
         """A localizer for each part (m,) of the frames, which learns from it alone; without sources that cannot.
 
-        Sources learn in threads, or in workers if there are any. Those that use local features learn from the last
-        part, by default all frames, in this process first, since the other parts share its matches. Others learn from
-        part after part, so that memory follows one part.
+        Sources learn in threads. Those that use local features learn from the last part first, by default all frames,
+        since the other parts share its matches; then from several of these at once, in workers if there are any. Each
+        of the other sources learns from one part after another, so that it holds the features of one.
         """
         kinds = [find_source(name) for name in names]
         every, fit = range(len(parts)), partial(_fit, data, parts)
@@ -119,7 +119,7 @@ class Localizer:
         first = [*((kind, every[-1:]) for kind in whole), *((kind, every) for kind in apart)]
         others = [(kind, [k]) for k in every[:-1] for kind in whole]
         fitted: dict[tuple[type[PoseSource], int], PoseSource | None] = {}
-        results = in_workers(fit, first[len(whole) :], here=first[: len(whole)])
+        results = in_threads(fit, first)
         release_freed_memory()  # else the folds' maps would come on top of what networks took
         results += in_workers(fit, others, stage_of(data.progress, "folds"))
         release_freed_memory()

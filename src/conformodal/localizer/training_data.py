@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from threading import Lock
-from typing import Any
+from typing import Any, Self
 
 from conformodal.conformal import QuantileBins
 from conformodal.core.arrays import Float32Array, FloatArray, IntArray
@@ -47,8 +47,9 @@ class ComputedOnce:
         self.extracting = Lock()
 
     def __getstate__(self) -> dict[str, Any]:
-        """What other processes need."""
-        return vars(self) | {"extracting": None}
+        """What other processes need, whatever threads of this one add meanwhile."""
+        copies = {"local_features": dict(self.local_features), "projections": dict(self.projections)}
+        return vars(self) | copies | {"extracting": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state | {"extracting": Lock()})
@@ -78,8 +79,14 @@ class TrainingData:
     computed: ComputedOnce = field(default_factory=ComputedOnce, init=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What sources in other processes need; they run no network and report no progress."""
+        """What other processes need: the network of the features stays here, and no progress is reported there."""
         return vars(self) | {"backbone": None, "progress": None}
+
+    def with_features_of(self, frames: IntArray) -> Self:
+        """The same data with nothing computed but the local features of some frames: little to send to a worker."""
+        part = replace(self)
+        part.computed.local_features.update(zip(frames.tolist(), self.local_features(frames), strict=True))
+        return part
 
     def require_backbone(self) -> Backbone:
         """The network of the features; refused where they come from elsewhere."""

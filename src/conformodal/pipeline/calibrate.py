@@ -80,8 +80,12 @@ def calibrate_regions(
         # where corners are followed, a place is as strongly recognised as when they were detected: the novelty test is
         # calibrated on how strongly it is in frames in which they are, as often as a run detects them there
         kinds = (True, False) if carries else (True,)
-        streams = [HeldOutStreams(fold.held_out, by, kind) for kind in kinds for fold, by in pairs]
-        looked = in_workers(partial(beliefs_of_streams, data, folds.units, motions), streams)
+        streams = [
+            HeldOutStreams(data.with_features_of(fold.held_out), fold.held_out, by, kind)
+            for kind in kinds
+            for fold, by in pairs
+        ]
+        looked = in_workers(partial(beliefs_of_streams, folds.units, motions), streams)
         beliefs, detected = looked[: len(pairs)], looked[-len(pairs) :]
     else:
         asked = [_Asked(by, fold.held_out, _evidence(data, fold.held_out, local=local)) for fold, by in pairs]
@@ -120,6 +124,7 @@ def _evidence(data: TrainingData, frames: IntArray, *, local: bool) -> FrameEvid
 class HeldOutStreams(NamedTuple):
     """Frames that a localizer has not seen, to be looked at stretch by stretch."""
 
+    data: TrainingData
     frames: IntArray
     localizer: Localizer
     # whether corners are followed; else frames are looked at by themselves, and after one in which a place was
@@ -127,11 +132,12 @@ class HeldOutStreams(NamedTuple):
     carries: bool
 
 
-def beliefs_of_streams(
-    data: TrainingData, units: IntArray, motions: dict[int, RelativeMotion | None], streams: HeldOutStreams
-) -> Beliefs:
-    """The beliefs about held-out frames, each stretch looked at as a stream, see :class:`.carrying.FeatureStream`."""
-    held_out, localizer, carries = streams
+def beliefs_of_streams(units: IntArray, motions: dict[int, RelativeMotion | None], streams: HeldOutStreams) -> Beliefs:
+    """The beliefs about held-out frames, each stretch looked at as a stream, see :class:`.carrying.FeatureStream`.
+
+    Labels of stretches and motions from the frame before are of all frames.
+    """
+    data, held_out, localizer, carries = streams
 
     def of_stretch(rows: IntArray) -> list[Beliefs]:
         stream = FeatureStream(localizer, data.sequence.camera, data.detector, carries=carries)
