@@ -1,4 +1,7 @@
-"""Settings of maps of landmarks and of localisation in them. They are part of the code: no model stores them."""
+"""Settings of maps of landmarks and of localisation in them.
+
+Commands use the defaults. No model stores settings: one that is loaded localises with the defaults.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +21,11 @@ class MapSettings:
     rounds: int = 2  # of triangulation and adjustment; standard deviations and mount are learnt after each
     frames_at_a_time: int = 32  # that are triangulated
     partners: int = 10  # frames in which a frame's corners are sought; pairs serve both
-    # of partners: angles between their axes, and distances in scene depths. Too near gives no parallax, too far sees
-    # other things
-    max_turned_rad: float = float(np.radians(35.0))
-    usual_turn_rad: float = float(np.radians(15.0))
-    nearest_depths: float = 0.02
+    max_turned_rad: float = float(np.radians(35.0))  # between the axes of partners
+    usual_turn_rad: float = float(np.radians(15.0))  # which counts as much as e times the best distance
+    nearest_depths: float = 0.02  # of partners, in scene depths: nearer ones give no parallax
     best_depths: float = 0.15
-    farthest_depths: float = 0.8
+    farthest_depths: float = 0.8  # farther ones see other things
     tolerance_px: float = 4.0  # of a ray
     matches_per_pair: int = 40  # that the camera is fitted with
 
@@ -74,7 +75,7 @@ class PoseSettings:
 class LandmarkSettings:
     """Which frames become keyframes, and which of these the errors are learnt from."""
 
-    # From a keyframe to the next, in scene depths plus radians: views between say the same again. With 0.015 to 0.04, a
+    # From a keyframe to the next, in scene depths plus radians: views in between add nothing. With 0.015 to 0.04, a
     # half to a fifth of the frames of redkitchen, poses by SfM are a tenth better in the median than with all frames
     # (blocks, seeds 20 to 22) and as good (interleaved, seeds 20, 21); by KinectFusion's poses they get worse from 0.04
     # on

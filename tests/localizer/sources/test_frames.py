@@ -1,6 +1,7 @@
 """Which frames the landmarks look at: those that they are fitted on, each once, and no other."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import Trajectory, rigid_motions
 from conformodal.io import Recording, Split, SplitKind
+from conformodal.localizer import LocalizationError
 from conformodal.localizer.evidence import FrameEvidence
-from conformodal.localizer.landmark_settings import LandmarkSettings
+from conformodal.localizer.landmark_settings import LandmarkSettings, PoseSettings
 from conformodal.localizer.sources.landmarks import LandmarkSource, _keyframes
 from conformodal.localizer.sources.registry import SourceState
 from conformodal.localizer.training_data import SourceSettings, TrainingData
@@ -77,6 +79,9 @@ def test_a_stored_source_answers_the_same_to_the_last_bit(world, looked_at, stat
     for its, others in zip(here, there, strict=True):
         for one, other in zip(its, others, strict=True):
             np.testing.assert_equal(vars(one), vars(other))
+    other = replace(source.map, settings=LandmarkSettings(pose=PoseSettings(n_first=1)))
+    with pytest.raises(LocalizationError, match=r"settings\.pose must be the defaults to be stored"):
+        replace(source, map=other).state()
 
 
 @pytest.mark.parametrize(("step_m", "every"), [(0.001, 26), (0.013, 2), (0.03, 1)])

@@ -29,7 +29,7 @@ from conformodal.localizer.evidence import (
     PoseMeasurement,
     fit_error_model,
 )
-from conformodal.localizer.landmark_settings import LandmarkSettings
+from conformodal.localizer.landmark_settings import LandmarkSettings, PoseSettings
 from conformodal.localizer.training_data import TrainingData
 
 from .landmark_map import LandmarkMap
@@ -176,7 +176,9 @@ class LandmarkSource:
         return [one for one in estimates if one.sigma_m < most_m]
 
     def state(self) -> SourceState:
-        """The map's arrays and camera, and the errors."""
+        """The map's arrays and camera, and the errors; refused with settings that the stored source would not have."""
+        if self.map.settings.pose != PoseSettings():
+            raise LocalizationError(f"settings.pose must be the defaults to be stored, got {self.map.settings.pose}")
         arrays = {"frames": self.frames, "held_out": self.held_out, **{k: getattr(self.map, k) for k in _ARRAYS}}
         settings = {"camera": asdict(self.map.camera), "depth_m": self.map.depth_m, "errors": asdict(self.errors)}
         return SourceState(arrays, {**settings, "grid": self.grid})

@@ -193,7 +193,7 @@ class _Triangulation:
 
 
 def _first_of_frames(reliable: BoolArray, starts: IntArray, most: int) -> BoolArray:
-    """At `most` so many reliable corners of each frame, the first in the order of the detector: the strongest."""
+    """The first `most` reliable corners of each frame; the detector gives the strongest first."""
     count = np.concatenate(([0], np.cumsum(reliable)))
     frame = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     return reliable & (count[:-1] - count[starts[frame]] < most)
