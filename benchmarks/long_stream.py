@@ -44,6 +44,7 @@ def write_small(folder: Path) -> None:
     folder.mkdir(parents=True)
     intrinsics = np.loadtxt(REDKITCHEN.parent / "camera-intrinsics.txt")
     intrinsics[:2] /= SHRUNK
+    intrinsics[:2, 2] += 0.5 / SHRUNK - 0.5  # pixel centres are whole numbers
     np.savetxt(folder / "camera-intrinsics.txt", intrinsics)
     for file in sorted(REDKITCHEN.glob("*.color.*"))[:MAPPED]:
         image = cv2.imread(str(file))
