@@ -51,7 +51,7 @@ UNITS = {
     "extend": Unit("extend.py --orders 1 --simulated 1000", 20),
     "monitor": Unit("monitor.py --sequences 10000", 5),
     "score_stream": Unit("score_stream.py", 1),
-    "long_stream": Unit("long_stream.py --frames 100000", 45),
+    "long_stream": Unit("long_stream.py --frames 20000", 12),
     "costs": Unit("costs.py", 10, 2),  # timings: nothing beside it
     "streaming": Unit("streaming.py", 15, 2),
 }
