@@ -35,8 +35,8 @@ _FOREIGN = (
 )  # fmt: skip
 
 # bytes that a file may unpack to, and its schema, of which Python makes 20 times as much: in all, and times its size
-_LEAST, _MOST, _TIMES = 2**26, 2**32, 100
-_SCHEMA_LEAST, _SCHEMA_TIMES = 2**24, 20
+_MIN_BYTES, _MAX_BYTES, _TIMES = 2**26, 2**32, 100
+_MIN_SCHEMA_BYTES, _SCHEMA_TIMES = 2**24, 20
 
 
 def check_replaceable(path: str | Path) -> None:
@@ -107,11 +107,11 @@ def _unpacked(content: bytes) -> bytes:
 
     Archives in it, which hold sparse arrays, count by what they unpack to; entries, as often as they are read.
     """
-    room, out = min(max(_TIMES * len(content), _LEAST), _MOST), io.BytesIO()
+    room, out = min(max(_TIMES * len(content), _MIN_BYTES), _MAX_BYTES), io.BytesIO()
     readers: set[Any] = set()  # names of entries, and the objects that each is read for
     with zipfile.ZipFile(io.BytesIO(content)) as archive, zipfile.ZipFile(out, "w") as plain:
         room -= _checked_size(archive, room)
-        if archive.getinfo("schema.json").file_size > max(_SCHEMA_TIMES * len(content), _SCHEMA_LEAST):
+        if archive.getinfo("schema.json").file_size > max(_SCHEMA_TIMES * len(content), _MIN_SCHEMA_BYTES):
             raise ValueError("schema.json unpacks to more than a saved regressor needs")
         for entry in archive.infolist():
             with archive.open(entry) as file:

@@ -27,7 +27,7 @@ from .poses import rigid_motions
 from .triangulation import Points, Rays
 
 _NO_DELAY = np.zeros(2)
-_MOST, _LEAST = 10000, 400  # matches: half are fitted, half check the fit
+_MAX_MATCHES, _MIN_MATCHES = 10000, 400  # matches: half are fitted, half check the fit
 _SCALE_PX = 1.5  # of the Cauchy loss
 # prior standard deviations: of the logarithm of the focal length, of the mount's angles and of its position in scene
 # depths, and of the shutter's delays
@@ -66,9 +66,9 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
     one, the given one is returned. Delays that are out of range are left out, and the rest is judged without them.
     """
     given = RigCalibration(replace(camera, distortion=()), np.eye(4))
-    if len(matches.frames) < _LEAST:
+    if len(matches.frames) < _MIN_MATCHES:
         return given
-    order = np.random.default_rng(0).permutation(len(matches.frames))[:_MOST]
+    order = np.random.default_rng(0).permutation(len(matches.frames))[:_MAX_MATCHES]
     fitted, checked = (
         Matches(matches.frames[half], matches.pixels[half], matches.flows[half]) for half in np.array_split(order, 2)
     )
