@@ -15,6 +15,7 @@ from conformodal.localizer.regions import Support
 from conformodal.localizer.sources import registry
 from conformodal.localizer.sources.registry import SourceAnswer, register_source
 from conformodal.pipeline import calibrate as calibrating
+from conformodal.pipeline import calibrate_paths as calibrating_paths
 from conformodal.pipeline.calibrate import calibrate_regions, compare_sources
 from conformodal.pipeline.config import Calibration, ModelConfig, OdometryError
 from conformodal.pipeline.folds import Fold, Folds
@@ -125,7 +126,7 @@ def test_frames_that_are_lost_do_not_calibrate_regions_from_posteriors(monkeypat
         "score_beliefs": lambda rule, localizer, beliefs, targets: np.repeat(score[beliefs.rows, None], 7, axis=1),
     }
     for name, stub in stubs.items():
-        monkeypatch.setattr(calibrating, name, stub)
+        monkeypatch.setattr(calibrating_paths, name, stub)
     sequence = SimpleNamespace(recording=unit, timestamps_s=np.arange(n))
     localizer = SimpleNamespace(cells=BINS, supports=lambda its: [SimpleNamespace(out_of_range=False)] * len(its.rows))
     every = np.ones(n, dtype=bool)
@@ -134,7 +135,7 @@ def test_frames_that_are_lost_do_not_calibrate_regions_from_posteriors(monkeypat
     folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), unit, unit)
     its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
     data = SimpleNamespace(sequence=sequence, targets=np.zeros((n, 7)), split=SimpleNamespace(kind=SplitKind.BLOCKS))
-    paths = calibrating.calibrate_paths(data, folds, [localizer], its, None, [None] * n)
+    paths = calibrating_paths.calibrate_paths(data, folds, [localizer], its, None, [None] * n)
     assert {path.longest_gap_s for path in paths.values()} == {0.3}
     online, hindsight = (paths[path].calibration for path in ("online", "hindsight"))
     np.testing.assert_array_equal(np.sort(online.scores_[:, 0]), score)

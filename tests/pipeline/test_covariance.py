@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from conformodal.conformal import QuantileBins, hierarchical_quantile
 from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.observations import MotionPrior, Posterior
-from conformodal.pipeline.calibrate import squared_error
+from conformodal.pipeline.calibrate_paths import squared_error
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.model import ONLINE, PathRule, path_rule
 from tests.small_model import image, small_model

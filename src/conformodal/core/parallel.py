@@ -60,12 +60,11 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], progress: 
 def in_workers(work: Callable[[Item], Result], items: Sequence[Item], progress: Progress | None = None) -> list[Result]:
     """As :func:`in_threads`, by the workers of :func:`joblib.parallel_config` if there are any and several items."""
     try:
-        workers = Parallel(return_as="generator", batch_size=1)
+        workers, results = Parallel(return_as="generator", batch_size=1), list[Result]()
     except ValueError:  # the backend, as Ray's, has no generator: progress comes at the end
-        workers = Parallel(batch_size=1)
+        workers, results = Parallel(batch_size=1), []
     if workers.n_jobs == 1 or len(items) < 2:
         return in_threads(work, items, progress)
-    results = list[Result]()
     try:
         for result in workers(delayed(_alone)(work, item) for item in items):
             results.append(result)

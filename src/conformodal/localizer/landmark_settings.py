@@ -1,11 +1,11 @@
 """Settings of maps of landmarks and of localisation in them.
 
-Commands use the defaults. No model stores settings: one that is loaded localises with the defaults.
+Commands use the defaults. A model does not store them: once loaded, it localises with the defaults.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,47 +28,37 @@ class MapSettings:
     farthest_depths: float = 0.8  # farther ones see other things
     tolerance_px: float = 4.0  # of a ray
     matches_per_pair: int = 40  # that the camera is fitted with
+    min_sigma: float = 5e-4  # of given poses that join a map, in radians and scene depths
 
 
 @dataclass(frozen=True)
 class PoseSettings:
     """How an image is localised: retrieval, PnP and guided matching."""
 
-    # keyframes that are clustered, the most clusters, and keyframes that are matched in the most similar one and in
-    # each of the others
-    n_retrieved: int = 200
+    n_retrieved: int = 200  # most similar keyframes, which are clustered by position
     max_clusters: int = 8
-    n_first: int = 6
-    n_others: int = 3
-    # scene depths plus radians by which keyframes of a cluster differ; 0.1 makes poses worse on fr1
-    spread: float = 0.05
+    n_first: int = 6  # keyframes that are matched in the most similar cluster
+    n_others: int = 3  # and in each of the others
+    spread: float = 0.05  # scene depths plus radians by which these differ; 0.1 makes poses worse on fr1
     radius_depths: float = 0.5  # of a cluster
     max_distance_ratio: float = 5.0  # descriptor distance of a cluster over that of the first
-    # matches of a keyframe, and their share, that agree with a pose by more than chance: keyframes of other places have
-    # none
+    # matches of a keyframe, and their share, that agree with a pose by more than chance: in other places none do
     min_agreeing: int = 6
     min_agreeing_share: float = 0.1
-    max_reprojection_px: float = 6.0
-    # at most; of a place that rivals a sure one half of the matches would be right
+    max_reprojection_px: float = 6.0  # of an inlier
     max_samples: int = 300
-    max_samples_of_rival: int = 60
-    # guided matching looks for landmarks of keyframes near a pose where the pose says that they are: inliers of a pose
-    # that guides (wrong ones have fewer), keyframes, and the number nearest to the pose that these are chosen from
-    min_guiding_inliers: int = 30
-    n_guiding: int = 6
-    n_considered: int = 100
-    # corners nearest to a landmark that are compared with it
-    radius_px: float = 8.0
-    n_corners: int = 4
-    min_residual_px: float = 0.5  # no corner is located more precisely
-    # keyframes whose deviations correct an estimate, weighted by one over their distance, to which this is added (scene
-    # depths plus radians)
-    n_corrected_by: int = 6
-    min_distance: float = 0.01
-    # keyframes near an expected pose whose rolls are looked at; the roll up to which XFeat matches as well as upright
-    n_rolls: int = 10
-    matched_roll_rad: float = float(np.radians(30.0))
-    min_sigma: float = 5e-4  # of given poses, radians and scene depths
+    max_samples_of_rival: int = 60  # half of the matches of a place that rivals a sure one would be right
+    # guided matching looks for landmarks of keyframes near a pose where the pose projects them
+    min_guiding_inliers: int = 30  # of that pose; wrong ones have fewer
+    n_considered: int = 100  # keyframes nearest to it
+    n_guiding: int = 6  # keyframes among these whose landmarks are looked for
+    radius_px: float = 8.0  # in which corners are compared with a landmark
+    n_corners: int = 4  # nearest ones that are
+    min_residual_px: float = 0.5  # corners are not located more precisely
+    n_corrected_by: int = 6  # nearest keyframes, whose deviations correct an estimate
+    min_distance: float = 0.01  # scene depths plus radians, added to their distances, whose inverses are the weights
+    n_rolls: int = 10  # keyframes near an expected pose whose rolls are compared
+    matched_roll_rad: float = float(np.radians(30.0))  # up to which XFeat matches as well as upright
 
 
 @dataclass(frozen=True)
@@ -88,5 +78,5 @@ class LandmarkSettings:
     hidden_overlaps: tuple[float, ...] = (0.0, 0.3)
     hidden_weight: float = 0.05
     same_place_depths: float = 0.5  # within which an estimate is of the same place
-    mapping: MapSettings = field(default_factory=MapSettings)
-    pose: PoseSettings = field(default_factory=PoseSettings)
+    mapping: MapSettings = MapSettings()
+    pose: PoseSettings = PoseSettings()

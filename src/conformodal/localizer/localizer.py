@@ -115,9 +115,8 @@ class Localizer:
         """
         kinds = [find_source(name) for name in names]
         every, fit = range(len(parts)), partial(_fit, data, parts)
-        whole, apart = ([kind for kind in kinds if kind.local is local] for local in (True, False))
-        first = [*((kind, every[-1:]) for kind in whole), *((kind, every) for kind in apart)]
-        others = [(kind, [k]) for k in every[:-1] for kind in whole]
+        first = [(kind, every[-1:] if kind.local else every) for kind in sorted(kinds, key=lambda kind: not kind.local)]
+        others = [(kind, [k]) for k in every[:-1] for kind in kinds if kind.local]
         fitted: dict[tuple[type[PoseSource], int], PoseSource | None] = {}
         results = in_threads(fit, first)
         release_freed_memory()  # else the folds' maps would come on top of what networks took

@@ -21,7 +21,7 @@ from .sources.landmark_map import LandmarkMap
 _NEAR_M, _NEAR_DEG = 0.3, 30.0
 _KEYFRAMES, _IMAGES = 150, 40  # of the known recording, that are mapped; of the other, that are localised
 _INLIERS = 25  # distinct, that an estimate needs
-_MIN_INLIERS = 8  # images that must agree
+_MIN_IMAGES = 8  # images that must agree
 _AGREE_DEPTHS, _AGREE_DEG = 0.1, 5.0  # within which motions agree
 # world frames differ by more than this, and by more than half of the motions that agree differ from their median
 _OFFSET_DEPTHS, _OFFSET_DEG = 0.05, 3.0
@@ -83,7 +83,7 @@ def measure_overlap(reference: Recording, other: Recording, depth_m: float) -> O
 
 def compare_world_frames(motions: FloatArray, middle: FloatArray, depth_m: float, overlap: Overlap) -> Overlap:
     """`overlap` with the motion (4, 4) among m that most others agree with, at the middle of the path."""
-    if len(motions) < _MIN_INLIERS:
+    if len(motions) < _MIN_IMAGES:
         return overlap
     turns = Rotation.from_matrix(motions[:, :3, :3])
     places = motions[:, :3, :3] @ middle + motions[:, :3, 3]
@@ -92,7 +92,7 @@ def compare_world_frames(motions: FloatArray, middle: FloatArray, depth_m: float
     agree = (off_m < _AGREE_DEPTHS * depth_m) & (off_rad < np.radians(_AGREE_DEG))
     largest = agree[np.argmax(agree.sum(axis=1))]
     n = int(largest.sum())
-    if n < max(_MIN_INLIERS, len(motions) / 2):
+    if n < max(_MIN_IMAGES, len(motions) / 2):
         return replace(overlap, n_agree=n)
     place, turn = np.median(places[largest], axis=0), turns[largest].mean()
     offset_m, offset_deg = float(np.linalg.norm(place - middle)), float(np.degrees(turn.magnitude()))

@@ -47,9 +47,8 @@ class ComputedOnce:
         self.extracting = Lock()
 
     def __getstate__(self) -> dict[str, Any]:
-        """What other processes need, whatever threads of this one add meanwhile."""
-        copies = {"local_features": dict(self.local_features), "projections": dict(self.projections)}
-        return vars(self) | copies | {"extracting": None}
+        """What other processes need."""
+        return vars(self) | {"extracting": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state | {"extracting": Lock()})

@@ -34,7 +34,7 @@ from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.depths import SceneDepth
 from conformodal.tracking.tracker import ImageCorners
 
-from .calibrate import PathScores, make_path_rule
+from .calibrate_paths import PathScores, make_path_rule
 from .config import Method, OdometryError
 from .estimates import Estimate
 from .estimator import VisualOdometry

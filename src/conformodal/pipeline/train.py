@@ -22,7 +22,8 @@ from conformodal.localizer.sources.registry import find_source
 from conformodal.localizer.training_data import TrainingData
 from conformodal.tracking.depths import UNKNOWN_DEPTH, scene_depth
 
-from .calibrate import calibrate_disturbed, calibrate_paths, calibrate_regions, compare_sources
+from .calibrate import calibrate_disturbed, calibrate_regions, compare_sources
+from .calibrate_paths import calibrate_paths
 from .config import Method, ModelConfig, OdometryError
 from .folds import make_folds, settings_record
 from .identity import identify

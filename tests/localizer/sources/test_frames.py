@@ -79,9 +79,9 @@ def test_a_stored_source_answers_the_same_to_the_last_bit(world, looked_at, stat
     for its, others in zip(here, there, strict=True):
         for one, other in zip(its, others, strict=True):
             np.testing.assert_equal(vars(one), vars(other))
-    other = replace(source.map, settings=LandmarkSettings(pose=PoseSettings(n_first=1)))
-    with pytest.raises(LocalizationError, match=r"settings\.pose must be the defaults to be stored"):
-        replace(source, map=other).state()
+    for settings in (LandmarkSettings(pose=PoseSettings(n_first=1)), LandmarkSettings(same_place_depths=0.1)):
+        with pytest.raises(LocalizationError, match="other settings than the defaults cannot be stored"):
+            replace(source, map=replace(source.map, settings=settings)).state()
 
 
 @pytest.mark.parametrize(("step_m", "every"), [(0.001, 26), (0.013, 2), (0.03, 1)])

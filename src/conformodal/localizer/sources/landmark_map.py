@@ -107,7 +107,7 @@ class LandmarkMap:
         moved[:, :3, 3] -= self.origin_xyz
         rig = RigCalibration(self.camera, self.T_pose_cam, self.shutter)
         shift, turn = np.nanmedian(np.abs(self.corrections), axis=0).reshape(2, 3).mean(axis=1) / MAD_OF_NORMAL
-        least = self.settings.pose.min_sigma
+        least = self.settings.mapping.min_sigma
         sigmas = np.repeat([max(turn, least), max(shift, least * self.depth_m)], 3)
         known = KnownFrames(self._projections(), self.poses_se3, self._poses_cam, rig, sigmas)
         added = triangulate_beside(known, features, moved, self.depth_m, progress, self.settings.mapping)

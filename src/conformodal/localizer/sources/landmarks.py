@@ -29,7 +29,7 @@ from conformodal.localizer.evidence import (
     PoseMeasurement,
     fit_error_model,
 )
-from conformodal.localizer.landmark_settings import LandmarkSettings, PoseSettings
+from conformodal.localizer.landmark_settings import LandmarkSettings
 from conformodal.localizer.training_data import TrainingData
 
 from .landmark_map import LandmarkMap
@@ -176,9 +176,10 @@ class LandmarkSource:
         return [one for one in estimates if one.sigma_m < most_m]
 
     def state(self) -> SourceState:
-        """The map's arrays and camera, and the errors; refused with settings that the stored source would not have."""
-        if self.map.settings.pose != PoseSettings():
-            raise LocalizationError(f"settings.pose must be the defaults to be stored, got {self.map.settings.pose}")
+        """The map's arrays and camera, and the errors; refused where a loaded source would answer differently."""
+        own, usual = self.map.settings, LandmarkSettings()
+        if (own.pose, own.same_place_depths) != (usual.pose, usual.same_place_depths):
+            raise LocalizationError("a map that localises with other settings than the defaults cannot be stored")
         arrays = {"frames": self.frames, "held_out": self.held_out, **{k: getattr(self.map, k) for k in _ARRAYS}}
         settings = {"camera": asdict(self.map.camera), "depth_m": self.map.depth_m, "errors": asdict(self.errors)}
         return SourceState(arrays, {**settings, "grid": self.grid})
@@ -217,11 +218,8 @@ def _keyframes(poses_se3: FloatArray, depth_m: float, settings: LandmarkSettings
     Of each area, at most `max_keyframes` that are evenly spread over it; the first keyframe that is in no area is the
     middle of the next.
     """
-    left, chosen, positions = (
-        _distinct_views(poses_se3, depth_m, settings.keyframe_step),
-        list[IntArray](),
-        poses_se3[:, :3, 3],
-    )
+    left, positions = _distinct_views(poses_se3, depth_m, settings.keyframe_step), poses_se3[:, :3, 3]
+    chosen = list[IntArray]()
     while left.size:
         near = np.linalg.norm(positions[left] - positions[left[0]], axis=1) < settings.area_depths * depth_m
         area, left = left[near], left[~near]
