@@ -1,6 +1,7 @@
 """Options out of range, contradictions, and what the system refuses: an exit code, and the option or file is named."""
 
 import errno
+import signal
 
 import pytest
 import typer
@@ -111,6 +112,23 @@ def test_every_end_is_one_line_and_a_code(monkeypatch, error, code, named):
     assert result.exit_code == code
     (line,) = result.stderr.splitlines()
     assert named in line
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_error_that_a_library_makes_of_an_interrupt_is_an_interrupt(number):
+    small = typer.Typer()
+
+    @small.command()
+    @console.report_errors()
+    def command() -> None:
+        try:
+            signal.raise_signal(number)
+        except KeyboardInterrupt:
+            raise ImportError("initialization failed") from None
+
+    result = CliRunner().invoke(small, [])
+    assert result.exit_code == 128 + number
+    assert result.stderr.startswith("error: interrupted")
 
 
 def test_a_fault_of_the_program_can_be_shown_in_full(monkeypatch):

@@ -204,10 +204,11 @@ def report_errors() -> Iterator[None]:
         except _USAGE_ERROR as exc:
             exc.message = exc.message.removeprefix("Value error, ")  # type: ignore[attr-defined]
             raise
-        except KeyboardInterrupt:
-            report_error("interrupted; what was computed until now is kept")
-            raise typer.Exit(stop_code(signals)) from None
-        except Exception as exc:
+        except (KeyboardInterrupt, Exception) as exc:
+            # a library may answer the interrupt with an error of its own, as compiled modules do while they load
+            if signals or isinstance(exc, KeyboardInterrupt):
+                report_error("interrupted; what was computed until now is kept")
+                raise typer.Exit(stop_code(signals)) from None
             text, code = _explained(exc)
             if code == OWN_FAULT and os.environ.get(SHOW_ALL):
                 raise
