@@ -116,10 +116,12 @@ def small_world(small_corridor: Path, made_once: MadeOnce) -> SmallWorld:
         from typer.testing import CliRunner
 
         from conformodal.cli.main import app
+        from tests.helpers import few_left_out
 
         arguments = ["train", small_corridor, "--out", folder / "model", "--cache", folder / "cache"]
         arguments += ["--split", "interleaved", "--epochs", "25", "--alpha", "0.2"]
-        result = CliRunner().invoke(app, [str(a) for a in arguments])
+        with few_left_out():
+            result = CliRunner().invoke(app, [str(a) for a in arguments])
         assert result.exit_code == 0, result.output
 
     root = made_once("trained", train)

@@ -117,7 +117,7 @@ class Repeating(VisualOdometry):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("odometry", "n_frames"), [(Repeating, 1000), (VisualOdometry, 200)])
+@pytest.mark.parametrize(("odometry", "n_frames"), [(Repeating, 400), (VisualOdometry, 200)])
 def test_what_a_stream_holds_does_not_grow(model, pictures, tmp_path, odometry, n_frames):
     """Objects of Python and NumPy; benchmarks/long_stream.py measures the memory of the process."""
     held, step = [], n_frames // 40
