@@ -7,7 +7,7 @@ import pytest
 from conformodal.conformal import QuantileBins, SplitConformal, conformal_quantile
 from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.regions import EvidenceType, RegionRules
-from conformodal.localizer.rooms import Rooms, part_of, thresholds_by_room
+from conformodal.localizer.rooms import Rooms, part_of, thresholds_by_group
 
 CELLS = QuantileBins.from_edges([np.arange(3.0)] * 2)
 
@@ -66,7 +66,7 @@ def test_the_guarantee_holds_in_each_room_with_enough_weight(n_members):
             others = np.delete(np.arange(n_units), new)
             units = None if n_members == 1 else np.repeat(others, n_members)
             whole, of = rule(scores[others].ravel(), units, alpha), rooms[others].ravel()
-            limits = thresholds_by_room(whole, of)
+            limits = thresholds_by_group(whole, of)
             for room, limit in limits.items():
                 weight, here = part_of(whole, of == room).weight, rooms[new] == room
                 missed[new, here] = scores[new, here] > limit[0]
@@ -79,15 +79,19 @@ def test_the_guarantee_holds_in_each_room_with_enough_weight(n_members):
 def test_small_rooms_are_calibrated_together_and_have_at_least_their_own_quantile():
     easy, hard = np.linspace(0.1, 0.5, 40), np.array([0.2, 0.9])
     whole = rule(np.concatenate((easy, hard)))
-    limits = thresholds_by_room(whole, np.repeat([0, 7], [40, 2]))
+    limits = thresholds_by_group(whole, np.repeat([0, 7], [40, 2]))
     np.testing.assert_allclose(limits[0], conformal_quantile(easy, 0.25), rtol=1e-9)
     np.testing.assert_allclose(limits[7], 0.9, rtol=1e-9)  # two of two are at most 3/4 of two, rounded up
     # alone, the small room weighs too little: no less than the threshold of all rooms
     low = np.concatenate((easy, hard / 10))
-    limits = thresholds_by_room(rule(low), np.repeat([0, 7], [40, 2]))
+    limits = thresholds_by_group(rule(low), np.repeat([0, 7], [40, 2]))
     np.testing.assert_allclose(limits[7], conformal_quantile(low, 0.25), rtol=1e-9)
+    # nor is it finite where nothing that it holds is
+    limits = thresholds_by_group(rule(np.concatenate((easy, [np.inf] * 2))), np.repeat([0, 7], [40, 2]))
+    assert np.isfinite(limits[0]).all()
+    assert np.isinf(limits[7]).all()
     # two small rooms weigh enough together
-    limits = thresholds_by_room(rule(np.concatenate((easy, hard / 10, hard / 9))), np.repeat([0, 7, 8], [40, 2, 2]))
+    limits = thresholds_by_group(rule(np.concatenate((easy, hard / 10, hard / 9))), np.repeat([0, 7, 8], [40, 2, 2]))
     together = conformal_quantile(np.concatenate((hard / 10, hard / 9)), 0.25)
     np.testing.assert_allclose([limits[7][0], limits[8][0]], together, rtol=1e-9)
 
@@ -100,13 +104,13 @@ def test_many_small_rooms_do_not_cost_the_guarantee_of_all():
         scores = rng.random(len(rooms)) + (rooms > 0)  # small rooms are harder
         for new, room in enumerate(rooms.tolist()):
             others = np.delete(np.arange(len(rooms)), new)
-            missed.append(scores[new] > thresholds_by_room(rule(scores[others], alpha=alpha), rooms[others])[room][0])
+            missed.append(scores[new] > thresholds_by_group(rule(scores[others], alpha=alpha), rooms[others])[room][0])
     assert np.mean(missed) <= alpha + 1e-12
 
 
-def test_two_targets_calibrated_apart_have_thresholds_by_room():
+def test_two_targets_calibrated_apart_have_thresholds_by_group():
     cells = SplitConformal(CELLS, 0.25, "hpd", "bonferroni").calibrate_scores(np.random.default_rng(0).random((40, 2)))
-    limits = thresholds_by_room(cells, np.repeat([0, 1], [38, 2]))
+    limits = thresholds_by_group(cells, np.repeat([0, 1], [38, 2]))
     assert (limits[1] >= cells.thresholds_).all()
 
 
@@ -118,7 +122,7 @@ def test_a_part_of_a_part_keeps_the_weights_in_whole_units():
     assert quarter.weight == Fraction(3, 4)
 
 
-def test_each_type_has_thresholds_by_room():
+def test_each_type_has_thresholds_by_group():
     rng = np.random.default_rng(0)
     rooms, recognised = rng.integers(0, 2, 200), rng.random(200) < 0.5
     scores = rng.random(200) * (1 + rooms)

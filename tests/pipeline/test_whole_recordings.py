@@ -90,8 +90,8 @@ def test_stretches_stay_where_a_path_would_lose_its_bounded_regions():
         rows = np.flatnonzero(calibration.units_ < 6)  # of the later recordings, three frames were found
         scores, units, sizes = (getattr(calibration, name)[rows] for name in ("scores_", "units_", "unit_sizes_"))
         calibration.calibrate_scores(scores, units, sizes)
-        rooms = None if rule.rooms is None else rule.rooms[rows]
-        paths[path] = replace(rule, calibration=calibration, squared=rule.squared[rows], rooms=rooms)
+        of_rows = {"squared": rule.squared[rows], "groups": rule.groups[rows]}
+        paths[path] = replace(rule, calibration=calibration, **of_rows)
     model = replace(before, path_rules=paths)
     assert all(np.isfinite(rule.calibration.thresholds_).all() for rule in model.path_rules.values())
     assert calibrate_by_recordings(model) is model

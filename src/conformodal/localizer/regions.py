@@ -30,7 +30,7 @@ from conformodal.geometry import fix_sign
 from .evidence import FrameEvidence
 from .mixtures import PoseMixture
 from .observations import Place, mean_of
-from .rooms import part_of, thresholds_by_room
+from .rooms import part_of, thresholds_by_group
 
 # Default significance levels of the novelty test, where single frames were left out and where stretches or recordings
 # were: the probability that an image of a known place is flagged. Chosen on corridors with seeds 20 to 22. With K
@@ -267,7 +267,7 @@ class RegionRules:
     ``DISTURBED``.
 
     Where the world has several rooms, each type is calibrated by room, see
-    :func:`~conformodal.localizer.rooms.thresholds_by_room`; disturbed images are calibrated in all rooms together.
+    :func:`~conformodal.localizer.rooms.thresholds_by_group`; disturbed images are calibrated in all rooms together.
     """
 
     overall: SplitConformal  # calibrated on all frames
@@ -308,7 +308,7 @@ class RegionRules:
         if self.rooms is None:
             return {}
         chosen = self._chosen.items()
-        return {kind: thresholds_by_room(self.by_type[kind], self.rooms[rows]) for kind, rows in chosen}
+        return {kind: thresholds_by_group(self.by_type[kind], self.rooms[rows]) for kind, rows in chosen}
 
     def in_room(self, kind: EvidenceType, room: int) -> SplitConformal:
         """A type calibrated on the frames of one room; on those of all where there is one, or images are disturbed."""

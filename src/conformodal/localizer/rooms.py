@@ -82,22 +82,22 @@ def part_of(rule: SplitConformal, chosen: BoolArray) -> SplitConformal:
     return part.calibrate_scores(rule.scores_[chosen], rule.units_[chosen], sizes[chosen])
 
 
-def thresholds_by_room(rule: SplitConformal, rooms: IntArray) -> dict[int, RealArray]:
-    """Thresholds (d,) of each room, from the calibration frames of a rule and their rooms (n,).
+def thresholds_by_group(rule: SplitConformal, groups: IntArray) -> dict[int, RealArray]:
+    """Thresholds (d,) of each group, such as a room, from the calibration frames of a rule and their groups (n,).
 
-    Rooms whose frames weigh less than a finite threshold needs are calibrated together: each has at least the threshold
-    of all of them, and at least its own quantile. If all of them still weigh too little, they have at least the
-    threshold of all rooms, and no guarantee of their own.
+    Groups whose frames weigh less than a finite threshold needs are calibrated together: each has at least the
+    threshold of all of them, and at least its own quantile. If all of them still weigh too little, they have at least
+    the threshold of all groups, and no guarantee of their own.
     """
-    parts = {room: part_of(rule, rooms == room) for room in np.unique(rooms).tolist()}
-    small = [room for room, own in parts.items() if not weighs_enough(own)]
-    limits = {room: own.thresholds_ for room, own in parts.items()}
+    parts = {group: part_of(rule, groups == group) for group in np.unique(groups).tolist()}
+    small = [group for group, own in parts.items() if not weighs_enough(own)]
+    limits = {group: own.thresholds_ for group, own in parts.items()}
     if small:
-        together = part_of(rule, np.isin(rooms, small))
+        together = part_of(rule, np.isin(groups, small))
         least = together.thresholds_
         if not weighs_enough(together):
             least = np.maximum(_quantile(together), rule.thresholds_)
-        limits |= {room: np.maximum(_quantile(parts[room]), least) for room in small}
+        limits |= {group: np.maximum(_quantile(parts[group]), least) for group in small}
     return limits
 
 
@@ -107,11 +107,10 @@ def weighs_enough(rule: SplitConformal) -> bool:
 
 
 def _quantile(rule: SplitConformal) -> RealArray:
-    """The quantile (d,) of calibration scores, without the margin for a new frame; minus infinity if it is infinite."""
+    """The quantile (d,) of calibration scores, without the margin for a new frame; minus infinity if there is none."""
     rate, weight = rule.alpha_per_target, rule.weight
     # at this rate, the rank among `weight + 1` is that of alpha among `weight`
     share = (1 + weight * rate) / (weight + 1) * as_alpha(rule.alpha) / rate
     if share >= 1:
         return np.full(rule.bins.n_targets, -np.inf)
-    limits = rule.at(share).thresholds_
-    return np.where(np.isfinite(limits), limits, -np.inf)
+    return rule.at(share).thresholds_

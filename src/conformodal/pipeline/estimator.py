@@ -137,7 +137,9 @@ class VisualOdometry(Odometry):
             problems.append(f"the most probable place has p = {best.probability:.2g}")
         path_region = self.model.path_regions(localization, [posterior], ONLINE)
         rule = self.model.path_rules.get(ONLINE)
-        variance_factor = 1.0 if rule is None else rule.variance_factor
+        variance_factor = 1.0
+        if rule is not None:
+            variance_factor = float(rule.variance_factors(self.model.groups_of(localization, [posterior]))[0])
         problems += self._doubts(localization.regions if path_region is None else path_region, best)
         if path_region is not None and not self._holds(localization.regions, best):  # a path may be sure and wrong
             problems.append("the pose lies outside of the image's region")

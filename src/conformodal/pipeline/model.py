@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,10 +12,10 @@ import cv2
 import numpy as np
 from scipy.special import gammaincinv
 
-from conformodal.conformal import QuantileBins, SplitConformal, conformal_quantile, hierarchical_quantile
+from conformodal.conformal import QuantileBins, SplitConformal
 from conformodal.conformal.checks import Alpha, as_alpha
 from conformodal.conformal.scores import Aps
-from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, UInt8Array, evenly_spread, rows_by_label
+from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, UInt8Array, evenly_spread
 from conformodal.core.ranges import check_ranges
 from conformodal.core.words import counted
 from conformodal.features.backbone import Backbone
@@ -37,7 +36,7 @@ from conformodal.localizer.regions import (
     pose_scores,
     supported_regions,
 )
-from conformodal.localizer.rooms import Rooms, thresholds_by_room
+from conformodal.localizer.rooms import Rooms, thresholds_by_group
 from conformodal.localizer.sources.landmarks import LandmarkSource
 
 from .config import Method, OdometryError
@@ -94,37 +93,60 @@ class PathRule:
     longest_gap_s: float
     # (n,) squared errors of the pose of each calibration frame over the covariance of its posterior
     squared: FloatArray
-    rooms: IntArray | None = None  # (n,) room of each calibration frame by its posterior; None where there is one
+    groups: IntArray  # (n,) of each calibration frame, see path_groups
+
+    def thresholds(self, groups: IntArray) -> RealArray:
+        """(m, 7) thresholds of posteriors of these groups (m,), see :func:`path_groups`."""
+        return _of_groups(self.calibration, self._thresholds, groups)
 
     @cached_property
-    def variance_factor(self) -> float:
-        """Factor of covariances with which the ellipsoid of 1 - alpha of a normal error is a conformal set.
+    def _thresholds(self) -> dict[int, RealArray]:
+        return thresholds_by_group(self.calibration, self.groups)
+
+    def variance_factors(self, groups: IntArray) -> FloatArray:
+        """Factors (m,) of covariances with which the ellipsoid of 1 - alpha of a normal error is a conformal set.
 
         Its squared errors over the covariance are below the quantile of the chi-squared law with six degrees of
-        freedom. Frames that are lost neither calibrate it nor are covered by it, and rooms are calibrated together.
-        Where too few frames calibrate for a finite quantile, it is as large as the largest of their errors asks, at
-        least 1, and without a guarantee.
+        freedom. Frames that are lost neither calibrate it nor are covered by it. Where too few frames calibrate for a
+        finite quantile, it is as large as the largest of their errors asks, at least 1, and without a guarantee.
         """
-        rule, rate = self.calibration, as_alpha(self.calibration.alpha)
         if not len(self.squared):
-            return 1.0
-        normal = float(2 * gammaincinv(3, 1 - float(rate)))
-        if rule.units_ is None:
-            limit = float(conformal_quantile(self.squared, rate))
-        else:
-            rows = rows_by_label(rule.units_)
-            whole = None if rule.unit_sizes_ is None else [int(rule.unit_sizes_[members[0]]) for members in rows]
-            limit = hierarchical_quantile([self.squared[members] for members in rows], rate, whole)
-        return limit / normal if math.isfinite(limit) else max(float(self.squared.max()) / normal, 1.0)
+            return np.ones(len(groups))
+        normal = float(2 * gammaincinv(3, 1 - float(as_alpha(self.calibration.alpha))))
+        factors = _of_groups(self._of_squared, self._largest_squared, groups)[:, 0] / normal
+        return np.where(np.isfinite(factors), factors, max(float(self.squared.max()) / normal, 1.0))
 
     @cached_property
-    def _by_room(self) -> dict[int, RealArray]:
-        return {} if self.rooms is None else thresholds_by_room(self.calibration, self.rooms)
+    def _of_squared(self) -> SplitConformal:
+        """The calibration of squared errors as scores."""
+        rule, n_targets = self.calibration, self.calibration.bins.n_targets
+        sizes = () if rule.units_ is None else (rule.units_, rule.unit_sizes_)
+        scores = np.repeat(self.squared[:, None], n_targets, axis=1)
+        return path_rule(rule.bins, rule.alpha).calibrate_scores(scores, *sizes)
 
-    def thresholds(self, rooms: IntArray) -> RealArray:
-        """(m, 7) thresholds of posteriors in these rooms (m,)."""
-        every = self.calibration.thresholds_
-        return np.array([self._by_room.get(room, every) for room in rooms.tolist()]).reshape(-1, every.size)
+    @cached_property
+    def _largest_squared(self) -> dict[int, RealArray]:
+        return thresholds_by_group(self._of_squared, self.groups)
+
+
+def path_groups(recognised: BoolArray, rooms: IntArray | None = None) -> IntArray:
+    """(n,) group of posteriors, whose regions are calibrated by themselves.
+
+    They are grouped by whether the image itself recognises a place, (n,), and by their room (n,) where the world has
+    several: where nothing recognises a place, errors grow, and the regions of all other frames need not hold them.
+    """
+    return (0 if rooms is None else 2 * rooms) + np.where(recognised, 0, 1).astype(np.int64)
+
+
+def renumber_rooms(groups: IntArray, number: IntArray) -> IntArray:
+    """The groups (n,) in which room i has become room `number[i]`."""
+    return 2 * number[groups // 2] + groups % 2
+
+
+def _of_groups(rule: SplitConformal, limits: dict[int, RealArray], groups: IntArray) -> RealArray:
+    """(m, 7) thresholds of groups (m,); those of a rule where no frame of a group calibrates."""
+    every = rule.thresholds_
+    return np.array([limits.get(group, every) for group in groups.tolist()]).reshape(-1, every.size)
 
 
 @dataclass(frozen=True)
@@ -394,13 +416,18 @@ class PoseModel:
             posterior.lost or posterior.unseen_s > rule.longest_gap_s or support.out_of_range
             for posterior, support in zip(posteriors, supports, strict=True)
         ]
-        of_path = rule.thresholds(self._rooms_of(after))
+        of_path = rule.thresholds(self.groups_of(answers, posteriors))
         alone = self.rules.thresholds(answers.kinds, answers.rooms)
         harder = np.isin(answers.kinds, (EvidenceType.DISTURBED, EvidenceType.WEAK))[:, None] & np.isfinite(alone)
         if self.rules.overall.score == rule.calibration.score:  # shares of the belief, as those of paths are
             of_path = np.where(harder, np.maximum(alone, of_path), of_path)
         thresholds = np.where(np.array(lost)[:, None], np.inf, of_path)
         return self._level_sets(rule.calibration, after, supports, thresholds)
+
+    def groups_of(self, answers: Localization, posteriors: Sequence[Posterior]) -> IntArray:
+        """(n,) groups of the posteriors of n images, see :func:`path_groups`."""
+        rooms = None if self.rooms is None else self._rooms_of(answers.beliefs.after(posteriors))
+        return path_groups(answers.beliefs.recognised, rooms)
 
     def recalibrate(self, alpha: Alpha) -> None:
         """Change the miscoverage rate, from the stored calibration scores."""

@@ -44,7 +44,7 @@ from .config import Method
 from .identity import FrameIdentities
 from .model import PATHS, ExpectedInput, JournalEntry, PathRule, PoseModel, SourceComparison, path_rule
 
-FORMAT = "conformodal-model-34"
+FORMAT = "conformodal-model-35"
 _JSON = "model.json"
 _FILES = {  # with the first digits of their digests; the detector of local features may have no network: an empty file
     "weights": "weights-{}.safetensors",
@@ -87,7 +87,7 @@ for _path_name in PATHS:
         f"path.{_path_name}.sizes": ArraySpec("lq", _rows, "positive"),
         f"path.{_path_name}.longest_gap_s": ArraySpec("d", (1,)),
         f"path.{_path_name}.squared": ArraySpec("d", _rows, "positive"),
-        f"path.{_path_name}.rooms": ArraySpec("lq", _rows, "anything"),
+        f"path.{_path_name}.groups": ArraySpec("lq", _rows, "anything"),
     }
 _RATE, _SHARE, _POSITIVE = Range(0, 1, "()"), Range(0, 1), Range(0, 1e9, "(]")
 _COUNT, _SIDE = Range(0, 10**9, whole=True), Range(1, 100_000, whole=True)
@@ -208,7 +208,7 @@ def _arrays(model: PoseModel) -> dict[str, AnyArray | None]:
         calibration = rule.calibration
         arrays[f"path.{path}.scores"] = calibration.scores_.max(axis=1)
         arrays |= {f"path.{path}.units": calibration.units_, f"path.{path}.sizes": calibration.unit_sizes_}
-        arrays |= {f"path.{path}.longest_gap_s": np.array([rule.longest_gap_s]), f"path.{path}.rooms": rule.rooms}
+        arrays |= {f"path.{path}.longest_gap_s": np.array([rule.longest_gap_s]), f"path.{path}.groups": rule.groups}
         arrays[f"path.{path}.squared"] = rule.squared
     if model.rooms is not None:
         arrays |= {"rooms.positions_xyz": model.rooms.positions_xyz, "rooms.rooms": model.rooms.rooms}
@@ -374,8 +374,8 @@ def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], path: str) -> Pa
     scores = np.repeat(arrays[f"path.{path}.scores"][:, None], rule.bins.n_targets, axis=1)
     of_units = () if rules.overall.units_ is None else ("units", "sizes")
     rule.calibrate_scores(scores, *(arrays[f"path.{path}.{name}"] for name in of_units))
-    longest_gap_s, squared = float(arrays[f"path.{path}.longest_gap_s"][0]), arrays[f"path.{path}.squared"]
-    return PathRule(rule, longest_gap_s, squared, arrays.get(f"path.{path}.rooms"))
+    squared, groups = (arrays[f"path.{path}.{name}"] for name in ("squared", "groups"))
+    return PathRule(rule, float(arrays[f"path.{path}.longest_gap_s"][0]), squared, groups)
 
 
 def _novelty(arrays: dict[str, AnyArray], grid: tuple[int, int]) -> PlaceNovelty | None:

@@ -75,13 +75,10 @@ def calibrate_by_recordings(model: PoseModel) -> PoseModel:
         calibration = copy(rule.calibration).calibrate_scores(
             rule.calibration.scores_[rows], number, sizes[number - first]
         )
-        path_rules[path] = replace(
-            rule,
-            calibration=calibration,
-            squared=rule.squared[rows],
-            rooms=None if rule.rooms is None else rule.rooms[rows],
-        )
-        if _is_bounded(rule.calibration) and not _is_bounded(calibration):
+        path_rules[path] = replace(rule, calibration=calibration, squared=rule.squared[rows], groups=rule.groups[rows])
+        groups = np.unique(rule.groups)
+        before, now = (np.isfinite(each.thresholds(groups)).all(axis=1) for each in (rule, path_rules[path]))
+        if (before & ~now).any():
             return model
     novelty = model.novelty
     if novelty is not None:
