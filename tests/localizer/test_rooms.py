@@ -7,7 +7,7 @@ import pytest
 from conformodal.conformal import QuantileBins, SplitConformal, conformal_quantile
 from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.regions import EvidenceType, RegionRules
-from conformodal.localizer.rooms import Rooms, part_of, thresholds_by_group
+from conformodal.localizer.rooms import RecognitionLimits, Rooms, part_of, thresholds_by_group
 
 CELLS = QuantileBins.from_edges([np.arange(3.0)] * 2)
 
@@ -86,10 +86,11 @@ def test_small_rooms_are_calibrated_together_and_have_at_least_their_own_quantil
     low = np.concatenate((easy, hard / 10))
     limits = thresholds_by_group(rule(low), np.repeat([0, 7], [40, 2]))
     np.testing.assert_allclose(limits[7], conformal_quantile(low, 0.25), rtol=1e-9)
-    # nor is it finite where nothing that it holds is
-    limits = thresholds_by_group(rule(np.concatenate((easy, [np.inf] * 2))), np.repeat([0, 7], [40, 2]))
+    # nor is it finite where nothing that it holds is; other small rooms keep the threshold of all rooms
+    limits = thresholds_by_group(rule(np.concatenate((easy, [np.inf], [0.2]))), np.repeat([0, 7, 8], [40, 1, 1]))
     assert np.isfinite(limits[0]).all()
     assert np.isinf(limits[7]).all()
+    np.testing.assert_allclose(limits[8], conformal_quantile(np.concatenate((easy, [np.inf, 0.2])), 0.25), rtol=1e-9)
     # two small rooms weigh enough together
     limits = thresholds_by_group(rule(np.concatenate((easy, hard / 10, hard / 9))), np.repeat([0, 7, 8], [40, 2, 2]))
     together = conformal_quantile(np.concatenate((hard / 10, hard / 9)), 0.25)
@@ -151,3 +152,19 @@ def test_disturbed_images_have_at_least_the_threshold_of_their_room():
     own = [rules.thresholds(np.array([EvidenceType.LANDMARKS]), np.array([room]))[0] for room in (0, 1)]
     np.testing.assert_array_equal(limits, np.maximum(own, copies.thresholds_))
     assert limits[1, 0] > limits[0, 0]
+
+
+def test_places_that_are_recognised_in_a_small_room_do_not_pay_for_those_that_are_not():
+    """A new room of two recognised and two other frames, whose scores are infinite, beside a large room."""
+    rng = np.random.default_rng(4)
+    recognised, rooms = np.repeat([True, False, True, False], [40, 40, 2, 2]), np.repeat([0, 1], [80, 4])
+    scores = np.concatenate((rng.random(40), 2 + rng.random(40), rng.random(2), np.full(2, np.inf)))
+    limits = RecognitionLimits.of(rule(scores), recognised, rooms)
+    asked = np.array([True, True, False, False, True, False]), np.array([0, 1, 0, 1, 5, 5])
+    large, small, others, lost, elsewhere, lost_elsewhere = limits(*asked)[:, 0]
+    assert large <= small < 1.1 < others < np.inf == lost
+    assert elsewhere == pytest.approx(conformal_quantile(scores[recognised], 0.25))
+    assert lost_elsewhere == pytest.approx(conformal_quantile(scores[~recognised], 0.25))
+    # without calibration frames of a kind, those of all frames
+    same = RecognitionLimits.of(rule(scores[:40]), recognised[:40], None)
+    np.testing.assert_array_equal(same(np.array([True, False]), np.zeros(2, int))[0], same.of_all)

@@ -142,7 +142,7 @@ def test_frames_that_are_lost_do_not_calibrate_regions_from_posteriors(monkeypat
     np.testing.assert_array_equal(np.sort(online.scores_[:, 0]), score)
     assert {error for path in paths.values() for error in path.squared} == {3.0}
     # by whether the image recognises a place: every third one does not
-    np.testing.assert_array_equal(paths["online"].groups[np.argsort(online.scores_[:, 0])], np.arange(n) % 3 == 0)
+    np.testing.assert_array_equal(paths["online"].recognised[np.argsort(online.scores_[:, 0])], np.arange(n) % 3 > 0)
     first = np.array([0, 100, 140, 154, 160])  # lost in hindsight
     np.testing.assert_array_equal(np.sort(hindsight.scores_[:, 0]), np.delete(score, first))
     assert float(hindsight.weight) == pytest.approx((np.array([100, 40, 14, 6]) - 1) @ (1 / np.array([100, 40, 14, 6])))

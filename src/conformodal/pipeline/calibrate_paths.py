@@ -24,7 +24,7 @@ from conformodal.localizer.training_data import TrainingData
 
 from .calibrate import CalibratedRegions, out_of_range, score_beliefs
 from .folds import Folds
-from .model import HINDSIGHT, ONLINE, PATHS, PathRule, path_groups, path_rule
+from .model import HINDSIGHT, ONLINE, PATHS, PathRule, path_rule
 
 _MAX_SQUARED = 1e9  # error over its covariance: more is as wrong
 
@@ -37,7 +37,8 @@ class PathScores(Rows):
     lost: BoolArray  # (n,) whether the region is unbounded
     unseen_s: FloatArray  # (n,) to the nearest frame whose image shows a known place
     squared: FloatArray  # (n,) squared errors of the chosen poses over the covariances of the posteriors
-    groups: IntArray  # (n,) see path_groups
+    recognised: BoolArray  # (n,) whether the image recognises a place
+    rooms: IntArray  # (n,) by the posteriors; 0 where there is one
 
     @classmethod
     def of(
@@ -57,7 +58,8 @@ class PathScores(Rows):
             np.array([one.lost for one in posteriors]) | out_of_range(localizer, after),
             np.array([one.unseen_s for one in posteriors]),
             np.array([squared_error(one, image, target, prior) for one, image, target in observed]),
-            path_groups(beliefs.recognised, None if rooms is None else rooms.rooms_of(after.mixtures)),
+            beliefs.recognised,
+            np.zeros(len(targets), dtype=np.int64) if rooms is None else rooms.rooms_of(after.mixtures),
         )
 
 
@@ -163,5 +165,6 @@ def make_path_rule(overall: SplitConformal, scored: PathScores, units: IntArray 
     rule = path_rule(overall.bins, overall.alpha)
     rule.calibrate_scores(scored.scores, units)
     found = ~scored.lost
+    rooms = scored.rooms[found] if scored.rooms.any() else None
     longest_gap_s = float(scored.unseen_s[found].max(initial=0.0))
-    return PathRule(part_of(rule, found), longest_gap_s, scored.squared[found], scored.groups[found])
+    return PathRule(part_of(rule, found), longest_gap_s, scored.squared[found], scored.recognised[found], rooms)

@@ -58,7 +58,7 @@ class Estimate:
     def covariance(self) -> FloatArray | None:
         """(6, 6) of the posterior about :attr:`pose`, all places together; None without an image.
 
-        It is calibrated by :attr:`.model.PathRule.variance_factors`, of frames whose region from all frames so far is
+        It is calibrated by :meth:`.model.PathRule.variance_factors`, of frames whose region from all frames so far is
         bounded. For the axes see :meth:`~conformodal.localizer.mixtures.PoseMixture.covariance`. Where no hypothesis of
         the posterior is right, those of the image alone stand.
         """

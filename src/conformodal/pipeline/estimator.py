@@ -136,10 +136,6 @@ class VisualOdometry(Odometry):
         if best.probability < RELIABLE:
             problems.append(f"the most probable place has p = {best.probability:.2g}")
         path_region = self.model.path_regions(localization, [posterior], ONLINE)
-        rule = self.model.path_rules.get(ONLINE)
-        variance_factor = 1.0
-        if rule is not None:
-            variance_factor = float(rule.variance_factors(self.model.groups_of(localization, [posterior]))[0])
         problems += self._doubts(localization.regions if path_region is None else path_region, best)
         if path_region is not None and not self._holds(localization.regions, best):  # a path may be sure and wrong
             problems.append("the pose lies outside of the image's region")
@@ -158,7 +154,7 @@ class VisualOdometry(Odometry):
             evidence=evidence,
             position_spread_m=float(np.linalg.norm(best.position_spreads)),
             orientation_spread_rad=best.orientation_spread_rad,
-            variance_factor=variance_factor,
+            variance_factor=self.model.variance_factor(localization, posterior),
             posterior=posterior,
             places=places,
             tracks=self._front_end.tracks,

@@ -39,7 +39,7 @@ from .config import Method, OdometryError
 from .estimates import Estimate
 from .estimator import VisualOdometry
 from .identity import FrameIdentities, identify
-from .model import HINDSIGHT, ONLINE, JournalEntry, Localization, PathRule, PoseModel, renumber_rooms
+from .model import HINDSIGHT, ONLINE, JournalEntry, Localization, PathRule, PoseModel
 from .own_poses import answer_reliably
 from .stream_scores import StreamScores
 from .whole_recordings import calibrate_by_recordings
@@ -337,9 +337,16 @@ def _joined_path(one: PathRule, other: PathRule) -> PathRule:
     scores, units, sizes = (
         np.concatenate([getattr(part, name) for part in parts]) for name in ("scores_", "units_", "unit_sizes_")
     )
+    rooms = None
+    if one.rooms is not None or other.rooms is not None:
+        each = (one.rooms, other.rooms)
+        rooms = np.concatenate(
+            [np.zeros(len(p.scores_), np.int64) if r is None else r for p, r in zip(parts, each, strict=True)]
+        )
     calibration = copy(one.calibration).calibrate_scores(scores, units, sizes)
-    squared, groups = (np.concatenate([getattr(rule, name) for rule in (one, other)]) for name in ("squared", "groups"))
-    return PathRule(calibration, max(one.longest_gap_s, other.longest_gap_s), squared, groups)
+    squared = np.concatenate((one.squared, other.squared))
+    recognised = np.concatenate((one.recognised, other.recognised))
+    return PathRule(calibration, max(one.longest_gap_s, other.longest_gap_s), squared, recognised, rooms)
 
 
 def _with_references(
@@ -373,15 +380,16 @@ def _with_rooms(model: PoseModel, data: TrainingData) -> tuple[Rooms | None, Pos
     new = np.full(len(data.targets), labels.max() + 1)
     rooms = Rooms.of(positions, np.concatenate((labels, new)), model.localizer.depth_m)
     if rooms is None:
-        rules, number = replace(model.rules, rooms=None), np.zeros(labels.max() + 1, dtype=np.int64)
-        return None, replace(model, rules=rules, path_rules=_renumbered(model.path_rules, number))
+        single = {path: replace(rule, rooms=None) for path, rule in model.path_rules.items()}
+        return None, replace(model, rules=replace(model.rules, rooms=None), path_rules=single)
     number = np.array([rooms.rooms[np.flatnonzero(labels == label)[0]] for label in range(labels.max() + 1)])
 
-    old = model.rules.rooms
-    rules = replace(model.rules, rooms=number[np.zeros(len(model.rules.known_p), np.int64) if old is None else old])
-    return rooms, replace(model, rules=rules, path_rules=_renumbered(model.path_rules, number))
+    def renumbered(old: IntArray | None, n: int) -> IntArray:
+        return number[np.zeros(n, dtype=np.int64) if old is None else old]
 
-
-def _renumbered(path_rules: dict[str, PathRule], number: IntArray) -> dict[str, PathRule]:
-    """Rules of paths in which room i has become room `number[i]`."""
-    return {path: replace(rule, groups=renumber_rooms(rule.groups, number)) for path, rule in path_rules.items()}
+    rules = replace(model.rules, rooms=renumbered(model.rules.rooms, len(model.rules.known_p)))
+    path_rules = {
+        path: replace(rule, rooms=renumbered(rule.rooms, len(rule.calibration.scores_)))
+        for path, rule in model.path_rules.items()
+    }
+    return rooms, replace(model, rules=rules, path_rules=path_rules)

@@ -36,7 +36,7 @@ from conformodal.localizer.regions import (
     pose_scores,
     supported_regions,
 )
-from conformodal.localizer.rooms import Rooms, thresholds_by_group
+from conformodal.localizer.rooms import RecognitionLimits, Rooms
 from conformodal.localizer.sources.landmarks import LandmarkSource
 
 from .config import Method, OdometryError
@@ -93,60 +93,43 @@ class PathRule:
     longest_gap_s: float
     # (n,) squared errors of the pose of each calibration frame over the covariance of its posterior
     squared: FloatArray
-    groups: IntArray  # (n,) of each calibration frame, see path_groups
+    recognised: BoolArray  # (n,) whether the image of each calibration frame recognises a place
+    rooms: IntArray | None = None  # (n,) room of each calibration frame by its posterior; None where there is one
 
-    def thresholds(self, groups: IntArray) -> RealArray:
-        """(m, 7) thresholds of posteriors of these groups (m,), see :func:`path_groups`."""
-        return _of_groups(self.calibration, self._thresholds, groups)
+    def thresholds(self, recognised: BoolArray, rooms: IntArray) -> RealArray:
+        """(m, 7) thresholds of posteriors, from (m,) whether their image recognises a place and their rooms (m,).
+
+        Where nothing recognises a place, errors grow, and the regions of the other frames need not hold them.
+        """
+        return self._limits(recognised, rooms)
 
     @cached_property
-    def _thresholds(self) -> dict[int, RealArray]:
-        return thresholds_by_group(self.calibration, self.groups)
+    def _limits(self) -> RecognitionLimits:
+        return RecognitionLimits.of(self.calibration, self.recognised, self.rooms)
 
-    def variance_factors(self, groups: IntArray) -> FloatArray:
+    def variance_factors(self, recognised: BoolArray, rooms: IntArray) -> FloatArray:
         """Factors (m,) of covariances with which the ellipsoid of 1 - alpha of a normal error is a conformal set.
 
         Its squared errors over the covariance are below the quantile of the chi-squared law with six degrees of
         freedom. Frames that are lost neither calibrate it nor are covered by it. Where too few frames calibrate for a
-        finite quantile, it is as large as the largest of their errors asks, at least 1, and without a guarantee.
+        finite quantile, it is as large as the largest error of frames alike in recognition asks, at least 1, and
+        without a guarantee.
         """
         if not len(self.squared):
-            return np.ones(len(groups))
+            return np.ones(len(recognised))
         normal = float(2 * gammaincinv(3, 1 - float(as_alpha(self.calibration.alpha))))
-        factors = _of_groups(self._of_squared, self._largest_squared, groups)[:, 0] / normal
-        return np.where(np.isfinite(factors), factors, max(float(self.squared.max()) / normal, 1.0))
+        factors = self._squared_limits(recognised, rooms)[:, 0] / normal
+        largest = [self.squared[self.recognised == kind].max(initial=normal) / normal for kind in recognised]
+        return np.where(np.isfinite(factors), factors, largest)
 
     @cached_property
-    def _of_squared(self) -> SplitConformal:
-        """The calibration of squared errors as scores."""
+    def _squared_limits(self) -> RecognitionLimits:
+        """Thresholds of squared errors as scores."""
         rule, n_targets = self.calibration, self.calibration.bins.n_targets
         sizes = () if rule.units_ is None else (rule.units_, rule.unit_sizes_)
         scores = np.repeat(self.squared[:, None], n_targets, axis=1)
-        return path_rule(rule.bins, rule.alpha).calibrate_scores(scores, *sizes)
-
-    @cached_property
-    def _largest_squared(self) -> dict[int, RealArray]:
-        return thresholds_by_group(self._of_squared, self.groups)
-
-
-def path_groups(recognised: BoolArray, rooms: IntArray | None = None) -> IntArray:
-    """(n,) group of posteriors, whose regions are calibrated by themselves.
-
-    They are grouped by whether the image itself recognises a place, (n,), and by their room (n,) where the world has
-    several: where nothing recognises a place, errors grow, and the regions of all other frames need not hold them.
-    """
-    return (0 if rooms is None else 2 * rooms) + np.where(recognised, 0, 1).astype(np.int64)
-
-
-def renumber_rooms(groups: IntArray, number: IntArray) -> IntArray:
-    """The groups (n,) in which room i has become room `number[i]`."""
-    return 2 * number[groups // 2] + groups % 2
-
-
-def _of_groups(rule: SplitConformal, limits: dict[int, RealArray], groups: IntArray) -> RealArray:
-    """(m, 7) thresholds of groups (m,); those of a rule where no frame of a group calibrates."""
-    every = rule.thresholds_
-    return np.array([limits.get(group, every) for group in groups.tolist()]).reshape(-1, every.size)
+        of_squared = path_rule(rule.bins, rule.alpha).calibrate_scores(scores, *sizes)
+        return RecognitionLimits.of(of_squared, self.recognised, self.rooms)
 
 
 @dataclass(frozen=True)
@@ -416,7 +399,7 @@ class PoseModel:
             posterior.lost or posterior.unseen_s > rule.longest_gap_s or support.out_of_range
             for posterior, support in zip(posteriors, supports, strict=True)
         ]
-        of_path = rule.thresholds(self.groups_of(answers, posteriors))
+        of_path = rule.thresholds(answers.beliefs.recognised, self._rooms_of(after))
         alone = self.rules.thresholds(answers.kinds, answers.rooms)
         harder = np.isin(answers.kinds, (EvidenceType.DISTURBED, EvidenceType.WEAK))[:, None] & np.isfinite(alone)
         if self.rules.overall.score == rule.calibration.score:  # shares of the belief, as those of paths are
@@ -424,10 +407,13 @@ class PoseModel:
         thresholds = np.where(np.array(lost)[:, None], np.inf, of_path)
         return self._level_sets(rule.calibration, after, supports, thresholds)
 
-    def groups_of(self, answers: Localization, posteriors: Sequence[Posterior]) -> IntArray:
-        """(n,) groups of the posteriors of n images, see :func:`path_groups`."""
-        rooms = None if self.rooms is None else self._rooms_of(answers.beliefs.after(posteriors))
-        return path_groups(answers.beliefs.recognised, rooms)
+    def variance_factor(self, answer: Localization, posterior: Posterior) -> float:
+        """The factor of the covariance of a posterior about an image, see :meth:`PathRule.variance_factors`."""
+        rule = self.path_rules.get(ONLINE)
+        if rule is None:
+            return 1.0
+        rooms = np.zeros(1, np.int64) if self.rooms is None else self._rooms_of(answer.beliefs.after([posterior]))
+        return float(rule.variance_factors(answer.beliefs.recognised, rooms)[0])
 
     def recalibrate(self, alpha: Alpha) -> None:
         """Change the miscoverage rate, from the stored calibration scores."""

@@ -87,7 +87,8 @@ for _path_name in PATHS:
         f"path.{_path_name}.sizes": ArraySpec("lq", _rows, "positive"),
         f"path.{_path_name}.longest_gap_s": ArraySpec("d", (1,)),
         f"path.{_path_name}.squared": ArraySpec("d", _rows, "positive"),
-        f"path.{_path_name}.groups": ArraySpec("lq", _rows, "anything"),
+        f"path.{_path_name}.recognised": ArraySpec("?", _rows, "anything"),
+        f"path.{_path_name}.rooms": ArraySpec("lq", _rows, "anything"),
     }
 _RATE, _SHARE, _POSITIVE = Range(0, 1, "()"), Range(0, 1), Range(0, 1e9, "(]")
 _COUNT, _SIDE = Range(0, 10**9, whole=True), Range(1, 100_000, whole=True)
@@ -208,8 +209,8 @@ def _arrays(model: PoseModel) -> dict[str, AnyArray | None]:
         calibration = rule.calibration
         arrays[f"path.{path}.scores"] = calibration.scores_.max(axis=1)
         arrays |= {f"path.{path}.units": calibration.units_, f"path.{path}.sizes": calibration.unit_sizes_}
-        arrays |= {f"path.{path}.longest_gap_s": np.array([rule.longest_gap_s]), f"path.{path}.groups": rule.groups}
-        arrays[f"path.{path}.squared"] = rule.squared
+        arrays |= {f"path.{path}.longest_gap_s": np.array([rule.longest_gap_s]), f"path.{path}.rooms": rule.rooms}
+        arrays |= {f"path.{path}.squared": rule.squared, f"path.{path}.recognised": rule.recognised}
     if model.rooms is not None:
         arrays |= {"rooms.positions_xyz": model.rooms.positions_xyz, "rooms.rooms": model.rooms.rooms}
     if novelty is not None:
@@ -374,8 +375,9 @@ def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], path: str) -> Pa
     scores = np.repeat(arrays[f"path.{path}.scores"][:, None], rule.bins.n_targets, axis=1)
     of_units = () if rules.overall.units_ is None else ("units", "sizes")
     rule.calibrate_scores(scores, *(arrays[f"path.{path}.{name}"] for name in of_units))
-    squared, groups = (arrays[f"path.{path}.{name}"] for name in ("squared", "groups"))
-    return PathRule(rule, float(arrays[f"path.{path}.longest_gap_s"][0]), squared, groups)
+    squared, recognised = (arrays[f"path.{path}.{name}"] for name in ("squared", "recognised"))
+    longest_gap_s = float(arrays[f"path.{path}.longest_gap_s"][0])
+    return PathRule(rule, longest_gap_s, squared, recognised, arrays.get(f"path.{path}.rooms"))
 
 
 def _novelty(arrays: dict[str, AnyArray], grid: tuple[int, int]) -> PlaceNovelty | None:

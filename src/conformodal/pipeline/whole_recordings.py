@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from conformodal.conformal import NoveltyTest, SplitConformal
-from conformodal.core.arrays import IntArray
+from conformodal.conformal import NoveltyTest
+from conformodal.core.arrays import IntArray, RealArray
 from conformodal.core.words import counted
 
 from .model import PoseModel
@@ -32,8 +32,9 @@ def describe_units(model: PoseModel) -> str:
     )
 
 
-def _is_bounded(rule: SplitConformal) -> bool:
-    return bool(np.isfinite(rule.thresholds_).all())
+def _loses_bounded(before: RealArray, now: RealArray) -> bool:
+    """Whether finite thresholds (n, 7) have become infinite."""
+    return bool((np.isfinite(before).all(axis=1) & ~np.isfinite(now).all(axis=1)).any())
 
 
 def calibrate_by_recordings(model: PoseModel) -> PoseModel:
@@ -41,7 +42,7 @@ def calibrate_by_recordings(model: PoseModel) -> PoseModel:
 
     Each was answered by a map that had not seen it. Stretches of the training recordings were answered by maps that had
     seen their neighbours, and no longer calibrate, but for disturbed images, of which there are copies of those alone.
-    Neither an evidence type nor a path loses its bounded regions.
+    Neither an evidence type nor a path loses its bounded regions in any room.
     """
     journal = model.journal_with_poses
     if model.configuration.get("whole_recordings") or len(journal) < n_recordings_needed(model):
@@ -62,8 +63,9 @@ def calibrate_by_recordings(model: PoseModel) -> PoseModel:
         known_p=rules.known_p[later],
         rooms=None if rules.rooms is None else rules.rooms[later],
     )
-    bounded = [kind for kind, rule in rules.by_type.items() if _is_bounded(rule)]
-    if not all(_is_bounded(by_recording.by_type[kind]) for kind in bounded):
+    rooms = np.zeros(1, np.int64) if rules.rooms is None else np.unique(rules.rooms)
+    kinds = np.repeat(np.array([*rules.by_type], np.int64), len(rooms)), np.tile(rooms, len(rules.by_type))
+    if _loses_bounded(rules.thresholds(*kinds), by_recording.thresholds(*kinds)):
         return model
     sizes = np.array([entry.n_frames for entry in journal])
     path_rules = {}
@@ -75,10 +77,15 @@ def calibrate_by_recordings(model: PoseModel) -> PoseModel:
         calibration = copy(rule.calibration).calibrate_scores(
             rule.calibration.scores_[rows], number, sizes[number - first]
         )
-        path_rules[path] = replace(rule, calibration=calibration, squared=rule.squared[rows], groups=rule.groups[rows])
-        groups = np.unique(rule.groups)
-        before, now = (np.isfinite(each.thresholds(groups)).all(axis=1) for each in (rule, path_rules[path]))
-        if (before & ~now).any():
+        path_rules[path] = replace(
+            rule,
+            calibration=calibration,
+            squared=rule.squared[rows],
+            recognised=rule.recognised[rows],
+            rooms=None if rule.rooms is None else rule.rooms[rows],
+        )
+        of_rooms = np.zeros(len(units), np.int64) if rule.rooms is None else rule.rooms
+        if _loses_bounded(*(each.thresholds(rule.recognised, of_rooms) for each in (rule, path_rules[path]))):
             return model
     novelty = model.novelty
     if novelty is not None:
