@@ -7,7 +7,7 @@ import pytest
 from conformodal.conformal import QuantileBins, SplitConformal, conformal_quantile
 from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.regions import EvidenceType, RegionRules
-from conformodal.localizer.rooms import RecognitionLimits, Rooms, part_of, thresholds_by_group
+from conformodal.localizer.rooms import NoveltyLimits, Rooms, part_of, thresholds_by_group
 
 CELLS = QuantileBins.from_edges([np.arange(3.0)] * 2)
 
@@ -154,17 +154,17 @@ def test_disturbed_images_have_at_least_the_threshold_of_their_room():
     assert limits[1, 0] > limits[0, 0]
 
 
-def test_places_that_are_recognised_in_a_small_room_do_not_pay_for_those_that_are_not():
-    """A new room of two recognised and two other frames, whose scores are infinite, beside a large room."""
+def test_known_places_in_a_small_room_do_not_pay_for_unknown_ones():
+    """A new room of two frames of known places and two others, whose scores are infinite, beside a large room."""
     rng = np.random.default_rng(4)
-    recognised, rooms = np.repeat([True, False, True, False], [40, 40, 2, 2]), np.repeat([0, 1], [80, 4])
+    novel, rooms = np.repeat([False, True, False, True], [40, 40, 2, 2]), np.repeat([0, 1], [80, 4])
     scores = np.concatenate((rng.random(40), 2 + rng.random(40), rng.random(2), np.full(2, np.inf)))
-    limits = RecognitionLimits.of(rule(scores), recognised, rooms)
-    asked = np.array([True, True, False, False, True, False]), np.array([0, 1, 0, 1, 5, 5])
+    limits = NoveltyLimits.of(rule(scores), novel, rooms)
+    asked = np.array([False, False, True, True, False, True]), np.array([0, 1, 0, 1, 5, 5])
     large, small, others, lost, elsewhere, lost_elsewhere = limits(*asked)[:, 0]
     assert large <= small < 1.1 < others < np.inf == lost
-    assert elsewhere == pytest.approx(conformal_quantile(scores[recognised], 0.25))
-    assert lost_elsewhere == pytest.approx(conformal_quantile(scores[~recognised], 0.25))
+    assert elsewhere == pytest.approx(conformal_quantile(scores[~novel], 0.25))
+    assert lost_elsewhere == pytest.approx(conformal_quantile(scores[novel], 0.25))
     # without calibration frames of a kind, those of all frames
-    same = RecognitionLimits.of(rule(scores[:40]), recognised[:40], None)
+    same = NoveltyLimits.of(rule(scores[:40]), novel[:40], None)
     np.testing.assert_array_equal(same(np.array([True, False]), np.zeros(2, int))[0], same.of_all)

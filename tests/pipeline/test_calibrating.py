@@ -103,7 +103,6 @@ class ToldBeliefs:
 
     def __init__(self, rows):
         self.rows, self.mixtures = rows, [None] * len(rows)
-        self.recognised = rows % 3 > 0
 
     def part(self, rows):
         return ToldBeliefs(self.rows[rows])
@@ -132,7 +131,8 @@ def test_frames_that_are_lost_do_not_calibrate_regions_from_posteriors(monkeypat
     localizer = SimpleNamespace(cells=BINS, supports=lambda its: [SimpleNamespace(out_of_range=False)] * len(its.rows))
     every = np.ones(n, dtype=bool)
     overall = SimpleNamespace(alpha=0.1, units_=unit, bins=BINS)
-    rules = SimpleNamespace(overall=overall, known=every, recognised=every)
+    # every third image is like no known place
+    rules = SimpleNamespace(overall=overall, known=every, known_p=np.arange(n) % 3, novel=lambda known_p: known_p == 0)
     folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), unit, unit)
     its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
     data = SimpleNamespace(sequence=sequence, targets=np.zeros((n, 7)), split=SimpleNamespace(kind=SplitKind.BLOCKS))
@@ -141,8 +141,7 @@ def test_frames_that_are_lost_do_not_calibrate_regions_from_posteriors(monkeypat
     online, hindsight = (paths[path].calibration for path in ("online", "hindsight"))
     np.testing.assert_array_equal(np.sort(online.scores_[:, 0]), score)
     assert {error for path in paths.values() for error in path.squared} == {3.0}
-    # by whether the image recognises a place: every third one does not
-    np.testing.assert_array_equal(paths["online"].recognised[np.argsort(online.scores_[:, 0])], np.arange(n) % 3 > 0)
+    np.testing.assert_array_equal(paths["online"].novel[np.argsort(online.scores_[:, 0])], np.arange(n) % 3 == 0)
     first = np.array([0, 100, 140, 154, 160])  # lost in hindsight
     np.testing.assert_array_equal(np.sort(hindsight.scores_[:, 0]), np.delete(score, first))
     assert float(hindsight.weight) == pytest.approx((np.array([100, 40, 14, 6]) - 1) @ (1 / np.array([100, 40, 14, 6])))

@@ -22,11 +22,11 @@ PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.0, 0.9), (0.2, 0.1), 2.0, 0.3, 20.0)
 
 def rule_of(squared, units=None, alpha=0.1):
     calibration = path_rule(CELLS, alpha).calibrate_scores(np.zeros((len(squared), 7)), units)
-    return PathRule(calibration, 0.2, np.asarray(squared, float), np.ones(len(squared), bool))
+    return PathRule(calibration, 0.2, np.asarray(squared, float), np.zeros(len(squared), bool))
 
 
 def factor(rule):
-    return rule.variance_factors(np.array([True]), np.array([0]))[0]
+    return rule.variance_factors(np.array([False]), np.array([0]))[0]
 
 
 def test_the_ellipsoid_holds_a_new_pose_as_often_as_asked():
@@ -81,34 +81,34 @@ def test_estimates_state_the_calibrated_covariance():
     np.testing.assert_allclose(again.covariance, 9 / chi2.ppf(0.75, 6) * alone.covariance)
 
 
-def test_frames_that_recognise_a_place_have_a_factor_and_thresholds_of_their_own():
+def test_frames_like_no_known_place_have_a_factor_and_thresholds_of_their_own():
     rng = np.random.default_rng(3)
-    recognised, room = np.repeat([True, False], 50), np.zeros(1, int)
+    novel, room = np.repeat([False, True], 50), np.zeros(1, int)
     squared = np.concatenate((rng.chisquare(6, 50), 100 * rng.chisquare(6, 50)))
     scores = np.repeat(np.concatenate((rng.random(50), np.full(50, np.inf)))[:, None], 7, axis=1)
-    both = PathRule(path_rule(CELLS, 0.1).calibrate_scores(scores), 0.2, squared, recognised)
-    for kind, rows in ((True, slice(None, 50)), (False, slice(50, None))):
-        alone = PathRule(path_rule(CELLS, 0.1).calibrate_scores(scores[rows]), 0.2, squared[rows], recognised[rows])
+    both = PathRule(path_rule(CELLS, 0.1).calibrate_scores(scores), 0.2, squared, novel)
+    for kind, rows in ((False, slice(None, 50)), (True, slice(50, None))):
+        alone = PathRule(path_rule(CELLS, 0.1).calibrate_scores(scores[rows]), 0.2, squared[rows], novel[rows])
         asked = np.array([kind]), room
         np.testing.assert_array_equal(both.thresholds(*asked), alone.calibration.thresholds_[None])
         assert both.variance_factors(*asked) == pytest.approx(alone.variance_factors(*asked))
-    assert np.isfinite(both.thresholds(np.array([True, False]), np.zeros(2, int))).all(axis=1).tolist() == [True, False]
+    assert np.isfinite(both.thresholds(np.array([False, True]), np.zeros(2, int))).all(axis=1).tolist() == [True, False]
 
 
 def test_too_few_frames_of_a_kind_have_the_largest_error_of_their_own():
-    squared, recognised = np.concatenate((np.full(6, 20.0), np.full(2, 1e8))), np.repeat([True, False], [6, 2])
-    few = PathRule(path_rule(CELLS, 0.1).calibrate_scores(np.zeros((8, 7))), 0.2, squared, recognised)
-    factors = few.variance_factors(np.array([True, False]), np.zeros(2, int))
+    squared, novel = np.concatenate((np.full(6, 20.0), np.full(2, 1e8))), np.repeat([False, True], [6, 2])
+    few = PathRule(path_rule(CELLS, 0.1).calibrate_scores(np.zeros((8, 7))), 0.2, squared, novel)
+    factors = few.variance_factors(np.array([False, True]), np.zeros(2, int))
     assert factors == pytest.approx(np.array([20, 1e8]) / chi2.ppf(0.9, 6))
 
 
-def test_the_kind_of_a_new_image_chooses_its_factor():
+def test_the_p_value_of_a_new_image_chooses_its_factor():
     model = small_model()
     rule = model.path_rules[ONLINE]
-    squared = np.where(rule.recognised, 1.0, 9.0)
+    squared = np.where(rule.novel, 9.0, 1.0)
     model = replace(model, rooms=None, path_rules={ONLINE: replace(rule, squared=squared, rooms=None)})
     answer = VisualOdometry(model).step(image(), 1.0)
-    for kind, error in ((True, 1.0), (False, 9.0)):
-        beliefs = SimpleNamespace(recognised=np.array([kind]))
-        factor = model.variance_factor(SimpleNamespace(beliefs=beliefs), answer.posterior)
+    level = model.rules.level
+    for p, error in ((2 * level, 1.0), (np.nan, 1.0), (level, 9.0)):
+        factor = model.variance_factor(SimpleNamespace(known_p=np.array([p])), answer.posterior)
         assert factor == pytest.approx(error / chi2.ppf(0.8, 6))

@@ -1,6 +1,6 @@
 """Rooms of a world: recordings near each other are of one room, and each room keeps its own coverage.
 
-Scores of frames are larger in some rooms than in others, and larger where an image recognises no place, so one
+Scores of frames are larger in some rooms than in others, and larger where an image is like no known place, so one
 threshold for all holds fewer poses there and more elsewhere. Thresholds by group are Mondrian calibration (Vovk et al.
 2003); the group of a frame is a function of its belief, the same for frames that calibrate and new ones, and never of
 the true pose.
@@ -104,32 +104,32 @@ def thresholds_by_group(rule: SplitConformal, groups: IntArray) -> dict[int, Rea
 
 
 @dataclass(frozen=True, eq=False)
-class RecognitionLimits:
-    """Thresholds of frames whose image recognises a place, and of the others, in each room."""
+class NoveltyLimits:
+    """Thresholds of frames whose image is like a known place, and of those like none, in each room."""
 
     of_all: RealArray  # (d,) of all frames
-    by_recognition: dict[bool, RealArray]
+    by_novelty: dict[bool, RealArray]
     by_room: dict[tuple[bool, int], RealArray]  # where a kind weighs enough for thresholds of its own
 
     @classmethod
-    def of(cls, rule: SplitConformal, recognised: BoolArray, rooms: IntArray | None) -> Self:
-        """From the calibration frames of a rule, (n,) whether a place is recognised, and their rooms (n,)."""
-        limits = thresholds_by_group(rule, recognised.astype(np.int64))
-        by_recognition = {bool(kind): limit for kind, limit in limits.items()}
+    def of(cls, rule: SplitConformal, novel: BoolArray, rooms: IntArray | None) -> Self:
+        """From the calibration frames of a rule, (n,) whether they are like no known place, and their rooms (n,)."""
+        limits = thresholds_by_group(rule, novel.astype(np.int64))
+        by_novelty = {bool(kind): limit for kind, limit in limits.items()}
         by_room: dict[tuple[bool, int], RealArray] = {}
         if rooms is not None:
-            for kind in by_recognition:
-                part = part_of(rule, recognised == kind)
+            for kind in by_novelty:
+                part = part_of(rule, novel == kind)
                 if weighs_enough(part):
-                    limits = thresholds_by_group(part, rooms[recognised == kind])
+                    limits = thresholds_by_group(part, rooms[novel == kind])
                     by_room |= {(kind, room): limit for room, limit in limits.items()}
-        return cls(rule.thresholds_, by_recognition, by_room)
+        return cls(rule.thresholds_, by_novelty, by_room)
 
-    def __call__(self, recognised: BoolArray, rooms: IntArray) -> RealArray:
+    def __call__(self, novel: BoolArray, rooms: IntArray) -> RealArray:
         """(m, d) of new frames: of their room, or of all rooms or frames where none of their own calibrate."""
         limits = [
-            self.by_room.get((kind, room), self.by_recognition.get(kind, self.of_all))
-            for kind, room in zip(recognised.tolist(), rooms.tolist(), strict=True)
+            self.by_room.get((kind, room), self.by_novelty.get(kind, self.of_all))
+            for kind, room in zip(novel.tolist(), rooms.tolist(), strict=True)
         ]
         return np.reshape(limits, (-1, self.of_all.size))
 

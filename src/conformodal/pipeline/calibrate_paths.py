@@ -37,7 +37,7 @@ class PathScores(Rows):
     lost: BoolArray  # (n,) whether the region is unbounded
     unseen_s: FloatArray  # (n,) to the nearest frame whose image shows a known place
     squared: FloatArray  # (n,) squared errors of the chosen poses over the covariances of the posteriors
-    recognised: BoolArray  # (n,) whether the image recognises a place
+    novel: BoolArray  # (n,) whether the image is like no known place
     rooms: IntArray  # (n,) by the posteriors; 0 where there is one
 
     @classmethod
@@ -49,8 +49,9 @@ class PathScores(Rows):
         targets: FloatArray,
         prior: MotionPrior,
         rooms: Rooms | None,
+        novel: BoolArray,
     ) -> Self:
-        """Of targets (n, 7), from beliefs about the images and posteriors."""
+        """Of targets (n, 7), from beliefs about the images, whether these are novel (n,), and posteriors."""
         observed = zip(posteriors, beliefs.mixtures, targets, strict=True)
         rule, after = path_rule(localizer.cells, 0.1), beliefs.after(posteriors)  # no score depends on the rate
         return cls(
@@ -58,7 +59,7 @@ class PathScores(Rows):
             np.array([one.lost for one in posteriors]) | out_of_range(localizer, after),
             np.array([one.unseen_s for one in posteriors]),
             np.array([squared_error(one, image, target, prior) for one, image, target in observed]),
-            beliefs.recognised,
+            novel,
             np.zeros(len(targets), dtype=np.int64) if rooms is None else rooms.rooms_of(after.mixtures),
         )
 
@@ -94,11 +95,10 @@ def calibrate_paths(
     if folds.units is None and data.split.kind is not SplitKind.INTERLEAVED:
         return {}
     rules, units = calibrated.rules, folds.units
-    known = np.split(rules.known, np.cumsum([len(fold.held_out) for fold in folds.folds])[:-1])
-    held_out = [
-        _HeldOutBeliefs(fold.held_out, localizer, beliefs, known_here)
-        for fold, localizer, beliefs, known_here in zip(folds.folds, localizers, calibrated.beliefs, known, strict=True)
-    ]
+    ends = np.cumsum([len(fold.held_out) for fold in folds.folds])[:-1]
+    known, novel = np.split(rules.known, ends), np.split(rules.novel(rules.known_p), ends)
+    frames = [fold.held_out for fold in folds.folds]
+    held_out = list(map(_HeldOutBeliefs, frames, localizers, calibrated.beliefs, known, novel))
     streams = data.sequence.recording if units is None else units
     score = partial(_score_paths, data.targets, data.sequence.timestamps_s, streams, motions, prior, rooms)
     scored = in_workers(score, held_out)
@@ -110,12 +110,13 @@ def calibrate_paths(
 
 
 class _HeldOutBeliefs(NamedTuple):
-    """Frames that a localizer has not seen, its beliefs about them, and whether they show known places."""
+    """Frames that a localizer has not seen, and its beliefs about them."""
 
     frames: IntArray
     localizer: Localizer
     beliefs: Beliefs
-    known: BoolArray
+    known: BoolArray  # whether they show known places
+    novel: BoolArray  # whether their images are like none
 
 
 class _ScoredPaths(NamedTuple):
@@ -150,11 +151,11 @@ def _score_paths(
         posteriors[HINDSIGHT] += hindsight_posteriors(observations, prior, forward)
         raise_if_cancelled()
     rows = np.concatenate(order)
-    frames, beliefs = held_out.frames[rows], held_out.beliefs.part(rows)
+    frames, beliefs, novel = held_out.frames[rows], held_out.beliefs.part(rows), held_out.novel[rows]
     return _ScoredPaths(
         frames,
         {
-            path: PathScores.of(held_out.localizer, beliefs, each, targets[frames], prior, rooms)
+            path: PathScores.of(held_out.localizer, beliefs, each, targets[frames], prior, rooms, novel)
             for path, each in posteriors.items()
         },
     )
@@ -167,4 +168,4 @@ def make_path_rule(overall: SplitConformal, scored: PathScores, units: IntArray 
     found = ~scored.lost
     rooms = scored.rooms[found] if scored.rooms.any() else None
     longest_gap_s = float(scored.unseen_s[found].max(initial=0.0))
-    return PathRule(part_of(rule, found), longest_gap_s, scored.squared[found], scored.recognised[found], rooms)
+    return PathRule(part_of(rule, found), longest_gap_s, scored.squared[found], scored.novel[found], rooms)

@@ -36,7 +36,7 @@ from conformodal.localizer.regions import (
     pose_scores,
     supported_regions,
 )
-from conformodal.localizer.rooms import RecognitionLimits, Rooms
+from conformodal.localizer.rooms import NoveltyLimits, Rooms
 from conformodal.localizer.sources.landmarks import LandmarkSource
 
 from .config import Method, OdometryError
@@ -93,43 +93,43 @@ class PathRule:
     longest_gap_s: float
     # (n,) squared errors of the pose of each calibration frame over the covariance of its posterior
     squared: FloatArray
-    recognised: BoolArray  # (n,) whether the image of each calibration frame recognises a place
+    novel: BoolArray  # (n,) whether the image of each calibration frame is like no known place
     rooms: IntArray | None = None  # (n,) room of each calibration frame by its posterior; None where there is one
 
-    def thresholds(self, recognised: BoolArray, rooms: IntArray) -> RealArray:
-        """(m, 7) thresholds of posteriors, from (m,) whether their image recognises a place and their rooms (m,).
+    def thresholds(self, novel: BoolArray, rooms: IntArray) -> RealArray:
+        """(m, 7) thresholds of posteriors, from (m,) whether their image is like no known place and their rooms (m,).
 
-        Where nothing recognises a place, errors grow, and the regions of the other frames need not hold them.
+        Through unknown parts errors grow, and the regions of the other frames need not hold them.
         """
-        return self._limits(recognised, rooms)
+        return self._limits(novel, rooms)
 
     @cached_property
-    def _limits(self) -> RecognitionLimits:
-        return RecognitionLimits.of(self.calibration, self.recognised, self.rooms)
+    def _limits(self) -> NoveltyLimits:
+        return NoveltyLimits.of(self.calibration, self.novel, self.rooms)
 
-    def variance_factors(self, recognised: BoolArray, rooms: IntArray) -> FloatArray:
+    def variance_factors(self, novel: BoolArray, rooms: IntArray) -> FloatArray:
         """Factors (m,) of covariances with which the ellipsoid of 1 - alpha of a normal error is a conformal set.
 
         Its squared errors over the covariance are below the quantile of the chi-squared law with six degrees of
         freedom. Frames that are lost neither calibrate it nor are covered by it. Where too few frames calibrate for a
-        finite quantile, it is as large as the largest error of frames alike in recognition asks, at least 1, and
+        finite quantile, it is as large as the largest error of frames alike in novelty asks, at least 1, and
         without a guarantee.
         """
         if not len(self.squared):
-            return np.ones(len(recognised))
+            return np.ones(len(novel))
         normal = float(2 * gammaincinv(3, 1 - float(as_alpha(self.calibration.alpha))))
-        factors = self._squared_limits(recognised, rooms)[:, 0] / normal
-        largest = [self.squared[self.recognised == kind].max(initial=normal) / normal for kind in recognised]
+        factors = self._squared_limits(novel, rooms)[:, 0] / normal
+        largest = [self.squared[self.novel == kind].max(initial=normal) / normal for kind in novel]
         return np.where(np.isfinite(factors), factors, largest)
 
     @cached_property
-    def _squared_limits(self) -> RecognitionLimits:
+    def _squared_limits(self) -> NoveltyLimits:
         """Thresholds of squared errors as scores."""
         rule, n_targets = self.calibration, self.calibration.bins.n_targets
         sizes = () if rule.units_ is None else (rule.units_, rule.unit_sizes_)
         scores = np.repeat(self.squared[:, None], n_targets, axis=1)
         of_squared = path_rule(rule.bins, rule.alpha).calibrate_scores(scores, *sizes)
-        return RecognitionLimits.of(of_squared, self.recognised, self.rooms)
+        return NoveltyLimits.of(of_squared, self.novel, self.rooms)
 
 
 @dataclass(frozen=True)
@@ -399,7 +399,7 @@ class PoseModel:
             posterior.lost or posterior.unseen_s > rule.longest_gap_s or support.out_of_range
             for posterior, support in zip(posteriors, supports, strict=True)
         ]
-        of_path = rule.thresholds(answers.beliefs.recognised, self._rooms_of(after))
+        of_path = rule.thresholds(self.rules.novel(answers.known_p), self._rooms_of(after))
         alone = self.rules.thresholds(answers.kinds, answers.rooms)
         harder = np.isin(answers.kinds, (EvidenceType.DISTURBED, EvidenceType.WEAK))[:, None] & np.isfinite(alone)
         if self.rules.overall.score == rule.calibration.score:  # shares of the belief, as those of paths are
@@ -413,7 +413,7 @@ class PoseModel:
         if rule is None:
             return 1.0
         rooms = np.zeros(1, np.int64) if self.rooms is None else self._rooms_of(answer.beliefs.after([posterior]))
-        return float(rule.variance_factors(answer.beliefs.recognised, rooms)[0])
+        return float(rule.variance_factors(self.rules.novel(answer.known_p), rooms)[0])
 
     def recalibrate(self, alpha: Alpha) -> None:
         """Change the miscoverage rate, from the stored calibration scores."""
