@@ -75,7 +75,7 @@ def small_model(detector=ORB):
     for path in PATHS:
         scores = np.repeat(rng.random((60, 1)), 7, axis=1)
         calibration = path_rule(localizer.cells, 0.2).calibrate_scores(scores, labels, np.full(60, 3))
-        paths[path] = PathRule(calibration, 0.2, rng.chisquare(6, 60), labels % 3 == 0, labels % 2)
+        paths[path] = PathRule(calibration, 0.2, rng.chisquare(6, 60), (labels % 3) / 2, 0.1, labels % 2)
     return PoseModel(
         backbone=network,
         localizer=localizer,

@@ -11,9 +11,11 @@ from scipy.stats import chi2
 from conformodal.conformal import QuantileBins, hierarchical_quantile
 from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.observations import MotionPrior, Posterior
+from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.calibrate_paths import squared_error
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.model import ONLINE, PathRule, path_rule
+from conformodal.pipeline.store import load_model, save_model
 from tests.small_model import image, small_model
 
 CELLS = QuantileBins.from_edges([np.linspace(-1, 1, 11)] * 7)
@@ -22,7 +24,7 @@ PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.0, 0.9), (0.2, 0.1), 2.0, 0.3, 20.0)
 
 def rule_of(squared, units=None, alpha=0.1):
     calibration = path_rule(CELLS, alpha).calibrate_scores(np.zeros((len(squared), 7)), units)
-    return PathRule(calibration, 0.2, np.asarray(squared, float), np.zeros(len(squared), bool))
+    return PathRule(calibration, 0.2, np.asarray(squared, float), np.ones(len(squared)), 0.1)
 
 
 def factor(rule):
@@ -86,9 +88,10 @@ def test_frames_like_no_known_place_have_a_factor_and_thresholds_of_their_own():
     novel, room = np.repeat([False, True], 50), np.zeros(1, int)
     squared = np.concatenate((rng.chisquare(6, 50), 100 * rng.chisquare(6, 50)))
     scores = np.repeat(np.concatenate((rng.random(50), np.full(50, np.inf)))[:, None], 7, axis=1)
-    both = PathRule(path_rule(CELLS, 0.1).calibrate_scores(scores), 0.2, squared, novel)
+    p = np.where(novel, 0.05, 1.0)
+    both = PathRule(path_rule(CELLS, 0.1).calibrate_scores(scores), 0.2, squared, p, 0.1)
     for kind, rows in ((False, slice(None, 50)), (True, slice(50, None))):
-        alone = PathRule(path_rule(CELLS, 0.1).calibrate_scores(scores[rows]), 0.2, squared[rows], novel[rows])
+        alone = PathRule(path_rule(CELLS, 0.1).calibrate_scores(scores[rows]), 0.2, squared[rows], p[rows], 0.1)
         asked = np.array([kind]), room
         np.testing.assert_array_equal(both.thresholds(*asked), alone.calibration.thresholds_[None])
         assert both.variance_factors(*asked) == pytest.approx(alone.variance_factors(*asked))
@@ -96,10 +99,12 @@ def test_frames_like_no_known_place_have_a_factor_and_thresholds_of_their_own():
 
 
 def test_too_few_frames_of_a_kind_have_the_largest_error_of_their_own():
-    squared, novel = np.concatenate((np.full(6, 20.0), np.full(2, 1e8))), np.repeat([False, True], [6, 2])
-    few = PathRule(path_rule(CELLS, 0.1).calibrate_scores(np.zeros((8, 7))), 0.2, squared, novel)
-    factors = few.variance_factors(np.array([False, True]), np.zeros(2, int))
-    assert factors == pytest.approx(np.array([20, 1e8]) / chi2.ppf(0.9, 6))
+    squared, p = np.concatenate((np.full(6, 20.0), np.full(2, 1e8))), np.repeat([1.0, 0.05], [6, 2])
+    few = PathRule(path_rule(CELLS, 0.1).calibrate_scores(np.zeros((8, 7))), 0.2, squared, p, 0.1)
+    both = np.array([False, True]), np.zeros(2, int)
+    assert few.variance_factors(*both) == pytest.approx(np.array([20, 1e8]) / chi2.ppf(0.9, 6))
+    # of frames of all kinds where none is of their own
+    assert replace(few, level=0.01).variance_factors(*both) == pytest.approx(1e8 / chi2.ppf(0.9, 6))
 
 
 def test_the_p_value_of_a_new_image_chooses_its_factor():
@@ -109,6 +114,20 @@ def test_the_p_value_of_a_new_image_chooses_its_factor():
     model = replace(model, rooms=None, path_rules={ONLINE: replace(rule, squared=squared, rooms=None)})
     answer = VisualOdometry(model).step(image(), 1.0)
     level = model.rules.level
-    for p, error in ((2 * level, 1.0), (np.nan, 1.0), (level, 9.0)):
-        factor = model.variance_factor(SimpleNamespace(known_p=np.array([p])), answer.posterior)
-        assert factor == pytest.approx(error / chi2.ppf(0.8, 6))
+    known, weak, unknown = EvidenceType.LANDMARKS, EvidenceType.WEAK, EvidenceType.UNKNOWN
+    asked = (2 * level, known, 1.0), (np.nan, known, 1.0), (level, weak, 9.0), (0.9, unknown, 9.0)  # out of range
+    for p, kind, error in asked:
+        told = SimpleNamespace(known_p=np.array([p]), kinds=np.array([kind]))
+        assert model.variance_factor(told, answer.posterior) == pytest.approx(error / chi2.ppf(0.8, 6))
+
+
+def test_another_level_makes_other_frames_novel(tmp_path):
+    model = small_model()
+    assert model.path_rules[ONLINE].novel.tolist() == (model.path_rules[ONLINE].known_p == 0).tolist()
+    model.set_novelty_level(0.5)
+    save_model(model, tmp_path)
+    for one in (model, load_model(tmp_path)):
+        rule = one.path_rules[ONLINE]
+        assert rule.level == one.rules.level == 0.5
+        assert rule.novel.tolist() == (rule.known_p <= 0.5).tolist()
+        assert set(rule.known_p[rule.novel]) == {0.0, 0.5}

@@ -90,7 +90,7 @@ def test_stretches_stay_where_a_path_would_lose_its_bounded_regions():
         rows = np.flatnonzero(calibration.units_ < 6)  # of the later recordings, three frames were found
         scores, units, sizes = (getattr(calibration, name)[rows] for name in ("scores_", "units_", "unit_sizes_"))
         calibration.calibrate_scores(scores, units, sizes)
-        of_rows = {name: getattr(rule, name)[rows] for name in ("squared", "novel", "rooms")}
+        of_rows = {name: getattr(rule, name)[rows] for name in ("squared", "known_p", "rooms")}
         paths[path] = replace(rule, calibration=calibration, **of_rows)
     model = replace(before, path_rules=paths)
     assert all(np.isfinite(rule.calibration.thresholds_).all() for rule in model.path_rules.values())

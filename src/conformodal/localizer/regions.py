@@ -284,10 +284,6 @@ class RegionRules:
         recognised = False if self.recognised is None else self.recognised
         return np.asarray(self.known_p > np.where(recognised, 0.0, self.level))
 
-    def novel(self, known_p: FloatArray) -> BoolArray:
-        """(m,) whether images with these p-values, NaN if not tested, are like no known place."""
-        return np.asarray(known_p <= self.level)
-
     @cached_property
     def by_type(self) -> dict[EvidenceType, SplitConformal]:
         """Each evidence type but ``UNKNOWN``, calibrated on its own frames, however few."""
@@ -326,7 +322,7 @@ class RegionRules:
         `recognised` says whether a place was recognised by local features, `disturbed` whether the image's quality is
         out of range.
         """
-        novel = self.novel(known_p)
+        novel = known_p <= self.level
         if self.recognised is None:
             return np.where(novel, EvidenceType.UNKNOWN, EvidenceType.GLOBAL).astype(np.int64)
         matched = np.where(novel, EvidenceType.WEAK, EvidenceType.LANDMARKS)

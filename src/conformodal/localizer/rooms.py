@@ -1,9 +1,9 @@
 """Rooms of a world: recordings near each other are of one room, and each room keeps its own coverage.
 
-Scores of frames are larger in some rooms than in others, and larger where an image is like no known place, so one
-threshold for all holds fewer poses there and more elsewhere. Thresholds by group are Mondrian calibration (Vovk et al.
-2003); the group of a frame is a function of its belief, the same for frames that calibrate and new ones, and never of
-the true pose.
+Scores of frames are larger in some rooms than in others, and larger where an image is novel, so one threshold for all
+holds fewer poses there and more elsewhere. Thresholds by group are Mondrian calibration (Vovk et al. 2003); the group
+of a frame is a function of its image and belief, the same for frames that calibrate and new ones, and never of the true
+pose.
 """
 
 from __future__ import annotations
@@ -97,15 +97,15 @@ def thresholds_by_group(rule: SplitConformal, groups: IntArray) -> dict[int, Rea
         together = part_of(rule, np.isin(groups, small))
         least = together.thresholds_
         if not weighs_enough(together):  # the infinite scores of one group are not those of the others
-            own = _quantile(together)
-            least = np.maximum(np.where(np.isfinite(own), own, -np.inf), rule.thresholds_)
+            quantile = _quantile(together)
+            least = np.maximum(np.where(np.isfinite(quantile), quantile, -np.inf), rule.thresholds_)
         limits |= {group: np.maximum(_quantile(parts[group]), least) for group in small}
     return limits
 
 
 @dataclass(frozen=True, eq=False)
 class NoveltyLimits:
-    """Thresholds of frames whose image is like a known place, and of those like none, in each room."""
+    """Thresholds of frames whose image is novel, and of the others, in each room."""
 
     of_all: RealArray  # (d,) of all frames
     by_novelty: dict[bool, RealArray]
@@ -113,9 +113,9 @@ class NoveltyLimits:
 
     @classmethod
     def of(cls, rule: SplitConformal, novel: BoolArray, rooms: IntArray | None) -> Self:
-        """From the calibration frames of a rule, (n,) whether they are like no known place, and their rooms (n,)."""
-        limits = thresholds_by_group(rule, novel.astype(np.int64))
-        by_novelty = {bool(kind): limit for kind, limit in limits.items()}
+        """From the calibration frames of a rule, (n,) whether these are novel, and their rooms (n,)."""
+        of_kinds = thresholds_by_group(rule, novel.astype(np.int64))
+        by_novelty = {bool(kind): limit for kind, limit in of_kinds.items()}
         by_room: dict[tuple[bool, int], RealArray] = {}
         if rooms is not None:
             for kind in by_novelty:

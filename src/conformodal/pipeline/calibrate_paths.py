@@ -10,7 +10,6 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from conformodal.conformal import SplitConformal
 from conformodal.core.arrays import BoolArray, FloatArray, IntArray, RealArray, Rows, rows_by_label
 from conformodal.core.parallel import in_workers, raise_if_cancelled
 from conformodal.geometry import RelativeMotion
@@ -19,6 +18,7 @@ from conformodal.localizer.filter import filter_posteriors, hindsight_posteriors
 from conformodal.localizer.localizer import Beliefs, Localizer
 from conformodal.localizer.mixtures import PoseMixture
 from conformodal.localizer.observations import MotionPrior, Observations, Posterior, find_places
+from conformodal.localizer.regions import RegionRules
 from conformodal.localizer.rooms import Rooms, part_of
 from conformodal.localizer.training_data import TrainingData
 
@@ -37,7 +37,7 @@ class PathScores(Rows):
     lost: BoolArray  # (n,) whether the region is unbounded
     unseen_s: FloatArray  # (n,) to the nearest frame whose image shows a known place
     squared: FloatArray  # (n,) squared errors of the chosen poses over the covariances of the posteriors
-    novel: BoolArray  # (n,) whether the image is like no known place
+    known_p: FloatArray  # (n,) p-values of the images; 0 of those out of range
     rooms: IntArray  # (n,) by the posteriors; 0 where there is one
 
     @classmethod
@@ -49,9 +49,9 @@ class PathScores(Rows):
         targets: FloatArray,
         prior: MotionPrior,
         rooms: Rooms | None,
-        novel: BoolArray,
+        known_p: FloatArray,
     ) -> Self:
-        """Of targets (n, 7), from beliefs about the images, whether these are novel (n,), and posteriors."""
+        """Of targets (n, 7), from beliefs about the images, their p-values (n,), and posteriors."""
         observed = zip(posteriors, beliefs.mixtures, targets, strict=True)
         rule, after = path_rule(localizer.cells, 0.1), beliefs.after(posteriors)  # no score depends on the rate
         return cls(
@@ -59,7 +59,7 @@ class PathScores(Rows):
             np.array([one.lost for one in posteriors]) | out_of_range(localizer, after),
             np.array([one.unseen_s for one in posteriors]),
             np.array([squared_error(one, image, target, prior) for one, image, target in observed]),
-            novel,
+            known_p,
             np.zeros(len(targets), dtype=np.int64) if rooms is None else rooms.rooms_of(after.mixtures),
         )
 
@@ -96,15 +96,15 @@ def calibrate_paths(
         return {}
     rules, units = calibrated.rules, folds.units
     ends = np.cumsum([len(fold.held_out) for fold in folds.folds])[:-1]
-    known, novel = np.split(rules.known, ends), np.split(rules.novel(rules.known_p), ends)
+    known, known_p = np.split(rules.known, ends), np.split(rules.known_p, ends)
     frames = [fold.held_out for fold in folds.folds]
-    held_out = list(map(_HeldOutBeliefs, frames, localizers, calibrated.beliefs, known, novel))
+    held_out = list(map(_HeldOutBeliefs, frames, localizers, calibrated.beliefs, known, known_p))
     streams = data.sequence.recording if units is None else units
     score = partial(_score_paths, data.targets, data.sequence.timestamps_s, streams, motions, prior, rooms)
     scored = in_workers(score, held_out)
     of_units = None if units is None else units[np.concatenate([one.frames for one in scored])]
     return {
-        path: make_path_rule(rules.overall, PathScores.concatenate([one.paths[path] for one in scored]), of_units)
+        path: make_path_rule(rules, PathScores.concatenate([one.paths[path] for one in scored]), of_units)
         for path in PATHS
     }
 
@@ -116,7 +116,7 @@ class _HeldOutBeliefs(NamedTuple):
     localizer: Localizer
     beliefs: Beliefs
     known: BoolArray  # whether they show known places
-    novel: BoolArray  # whether their images are like none
+    known_p: FloatArray  # by which they do
 
 
 class _ScoredPaths(NamedTuple):
@@ -151,21 +151,23 @@ def _score_paths(
         posteriors[HINDSIGHT] += hindsight_posteriors(observations, prior, forward)
         raise_if_cancelled()
     rows = np.concatenate(order)
-    frames, beliefs, novel = held_out.frames[rows], held_out.beliefs.part(rows), held_out.novel[rows]
+    frames, beliefs, known_p = held_out.frames[rows], held_out.beliefs.part(rows), held_out.known_p[rows]
     return _ScoredPaths(
         frames,
         {
-            path: PathScores.of(held_out.localizer, beliefs, each, targets[frames], prior, rooms, novel)
+            path: PathScores.of(held_out.localizer, beliefs, each, targets[frames], prior, rooms, known_p)
             for path, each in posteriors.items()
         },
     )
 
 
-def make_path_rule(overall: SplitConformal, scored: PathScores, units: IntArray | None) -> PathRule:
+def make_path_rule(rules: RegionRules, scored: PathScores, units: IntArray | None) -> PathRule:
     """From scores of n frames in `units` (n,), None if frames are exchangeable."""
-    rule = path_rule(overall.bins, overall.alpha)
+    rule = path_rule(rules.overall.bins, rules.overall.alpha)
     rule.calibrate_scores(scored.scores, units)
     found = ~scored.lost
     rooms = scored.rooms[found] if scored.rooms.any() else None
     longest_gap_s = float(scored.unseen_s[found].max(initial=0.0))
-    return PathRule(part_of(rule, found), longest_gap_s, scored.squared[found], scored.novel[found], rooms)
+    return PathRule(
+        part_of(rule, found), longest_gap_s, scored.squared[found], scored.known_p[found], rules.level, rooms
+    )

@@ -319,9 +319,8 @@ def _with_scores(
     posteriors[HINDSIGHT] = hindsight_posteriors(observed, model.prior, forward)
     path_rules = {}
     for path, before in model.path_rules.items():
-        each = posteriors[path]
-        scored = PathScores.of(model.localizer, beliefs, each, targets, model.prior, rooms, rules.novel(known_p))
-        path_rules[path] = _joined_path(before, make_path_rule(rules.overall, scored, units))
+        scored = PathScores.of(model.localizer, beliefs, posteriors[path], targets, model.prior, rooms, known_p)
+        path_rules[path] = _joined_path(before, make_path_rule(rules, scored, units))
     return joined, path_rules
 
 
@@ -346,8 +345,8 @@ def _joined_path(one: PathRule, other: PathRule) -> PathRule:
         )
     calibration = copy(one.calibration).calibrate_scores(scores, units, sizes)
     squared = np.concatenate((one.squared, other.squared))
-    novel = np.concatenate((one.novel, other.novel))
-    return PathRule(calibration, max(one.longest_gap_s, other.longest_gap_s), squared, novel, rooms)
+    known_p = np.concatenate((one.known_p, other.known_p))
+    return PathRule(calibration, max(one.longest_gap_s, other.longest_gap_s), squared, known_p, one.level, rooms)
 
 
 def _with_references(

@@ -93,15 +93,21 @@ class PathRule:
     longest_gap_s: float
     # (n,) squared errors of the pose of each calibration frame over the covariance of its posterior
     squared: FloatArray
-    novel: BoolArray  # (n,) whether the image of each calibration frame is like no known place
+    known_p: FloatArray  # (n,) p-values of the images of calibration frames; 0 of those out of range
+    level: float  # significance level: images with p-values of at most this are novel
     rooms: IntArray | None = None  # (n,) room of each calibration frame by its posterior; None where there is one
 
     def thresholds(self, novel: BoolArray, rooms: IntArray) -> RealArray:
-        """(m, 7) thresholds of posteriors, from (m,) whether their image is like no known place and their rooms (m,).
+        """(m, 7) thresholds of posteriors, from (m,) whether their image is novel and their rooms (m,).
 
         Through unknown parts errors grow, and the regions of the other frames need not hold them.
         """
         return self._limits(novel, rooms)
+
+    @property
+    def novel(self) -> BoolArray:
+        """(n,) whether the image of each calibration frame is novel."""
+        return np.asarray(self.known_p <= self.level)
 
     @cached_property
     def _limits(self) -> NoveltyLimits:
@@ -111,16 +117,19 @@ class PathRule:
         """Factors (m,) of covariances with which the ellipsoid of 1 - alpha of a normal error is a conformal set.
 
         Its squared errors over the covariance are below the quantile of the chi-squared law with six degrees of
-        freedom. Frames that are lost neither calibrate it nor are covered by it. Where too few frames calibrate for a
-        finite quantile, it is as large as the largest error of frames alike in novelty asks, at least 1, and
-        without a guarantee.
+        freedom. Frames that are lost neither calibrate it nor are covered by it. Where all frames are too few for a
+        finite quantile, it is as large as the largest error of those alike in novelty asks, at least 1, and without a
+        guarantee.
         """
         if not len(self.squared):
             return np.ones(len(novel))
         normal = float(2 * gammaincinv(3, 1 - float(as_alpha(self.calibration.alpha))))
         factors = self._squared_limits(novel, rooms)[:, 0] / normal
-        largest = [self.squared[self.novel == kind].max(initial=normal) / normal for kind in novel]
-        return np.where(np.isfinite(factors), factors, largest)
+        if not np.isfinite(factors).all():
+            alike = [self.squared[self.novel == kind] for kind in novel]
+            largest = [(own if own.size else self.squared).max(initial=normal) / normal for own in alike]
+            factors = np.where(np.isfinite(factors), factors, largest)
+        return factors.astype(np.float64)
 
     @cached_property
     def _squared_limits(self) -> NoveltyLimits:
@@ -399,7 +408,7 @@ class PoseModel:
             posterior.lost or posterior.unseen_s > rule.longest_gap_s or support.out_of_range
             for posterior, support in zip(posteriors, supports, strict=True)
         ]
-        of_path = rule.thresholds(self.rules.novel(answers.known_p), self._rooms_of(after))
+        of_path = rule.thresholds(self.novel(answers), self._rooms_of(after))
         alone = self.rules.thresholds(answers.kinds, answers.rooms)
         harder = np.isin(answers.kinds, (EvidenceType.DISTURBED, EvidenceType.WEAK))[:, None] & np.isfinite(alone)
         if self.rules.overall.score == rule.calibration.score:  # shares of the belief, as those of paths are
@@ -407,13 +416,17 @@ class PoseModel:
         thresholds = np.where(np.array(lost)[:, None], np.inf, of_path)
         return self._level_sets(rule.calibration, after, supports, thresholds)
 
+    def novel(self, answers: Localization) -> BoolArray:
+        """(n,) whether images are novel: p is at most the level, also where a place is recognised, or out of range."""
+        return np.asarray((answers.known_p <= self.rules.level) | (answers.kinds == EvidenceType.UNKNOWN))
+
     def variance_factor(self, answer: Localization, posterior: Posterior) -> float:
         """The factor of the covariance of a posterior about an image, see :meth:`PathRule.variance_factors`."""
         rule = self.path_rules.get(ONLINE)
         if rule is None:
             return 1.0
         rooms = np.zeros(1, np.int64) if self.rooms is None else self._rooms_of(answer.beliefs.after([posterior]))
-        return float(rule.variance_factors(self.rules.novel(answer.known_p), rooms)[0])
+        return float(rule.variance_factors(self.novel(answer), rooms)[0])
 
     def recalibrate(self, alpha: Alpha) -> None:
         """Change the miscoverage rate, from the stored calibration scores."""
@@ -426,6 +439,7 @@ class PoseModel:
         """Flag images whose p-value is at most `level` as unknown; at 0, none."""
         check_ranges({"novelty_level": level}, OdometryError)
         self.rules = replace(self.rules, level=0.0 if self.novelty is None else self.novelty.level(level))
+        self.path_rules = {path: replace(rule, level=self.rules.level) for path, rule in self.path_rules.items()}
 
     def check_camera(self, camera: PinholeCamera, tolerance: float = 1e-3) -> None:
         """Refuse images of another camera; intrinsics may differ by `tolerance` times the image's width."""

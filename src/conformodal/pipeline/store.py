@@ -87,7 +87,7 @@ for _path_name in PATHS:
         f"path.{_path_name}.sizes": ArraySpec("lq", _rows, "positive"),
         f"path.{_path_name}.longest_gap_s": ArraySpec("d", (1,)),
         f"path.{_path_name}.squared": ArraySpec("d", _rows, "positive"),
-        f"path.{_path_name}.novel": ArraySpec("?", _rows, "anything"),
+        f"path.{_path_name}.known_p": ArraySpec("d", _rows, "probabilities or NaN"),
         f"path.{_path_name}.rooms": ArraySpec("lq", _rows, "anything"),
     }
 _RATE, _SHARE, _POSITIVE = Range(0, 1, "()"), Range(0, 1), Range(0, 1e9, "(]")
@@ -210,7 +210,7 @@ def _arrays(model: PoseModel) -> dict[str, AnyArray | None]:
         arrays[f"path.{path}.scores"] = calibration.scores_.max(axis=1)
         arrays |= {f"path.{path}.units": calibration.units_, f"path.{path}.sizes": calibration.unit_sizes_}
         arrays |= {f"path.{path}.longest_gap_s": np.array([rule.longest_gap_s]), f"path.{path}.rooms": rule.rooms}
-        arrays |= {f"path.{path}.squared": rule.squared, f"path.{path}.novel": rule.novel}
+        arrays |= {f"path.{path}.squared": rule.squared, f"path.{path}.known_p": rule.known_p}
     if model.rooms is not None:
         arrays |= {"rooms.positions_xyz": model.rooms.positions_xyz, "rooms.rooms": model.rooms.rooms}
     if novelty is not None:
@@ -375,9 +375,9 @@ def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], path: str) -> Pa
     scores = np.repeat(arrays[f"path.{path}.scores"][:, None], rule.bins.n_targets, axis=1)
     of_units = () if rules.overall.units_ is None else ("units", "sizes")
     rule.calibrate_scores(scores, *(arrays[f"path.{path}.{name}"] for name in of_units))
-    squared, novel = (arrays[f"path.{path}.{name}"] for name in ("squared", "novel"))
+    squared, known_p = (arrays[f"path.{path}.{name}"] for name in ("squared", "known_p"))
     longest_gap_s = float(arrays[f"path.{path}.longest_gap_s"][0])
-    return PathRule(rule, longest_gap_s, squared, novel, arrays.get(f"path.{path}.rooms"))
+    return PathRule(rule, longest_gap_s, squared, known_p, rules.level, arrays.get(f"path.{path}.rooms"))
 
 
 def _novelty(arrays: dict[str, AnyArray], grid: tuple[int, int]) -> PlaceNovelty | None:

@@ -81,7 +81,7 @@ def calibrate_by_recordings(model: PoseModel) -> PoseModel:
             rule,
             calibration=calibration,
             squared=rule.squared[rows],
-            novel=rule.novel[rows],
+            known_p=rule.known_p[rows],
             rooms=None if rule.rooms is None else rule.rooms[rows],
         )
         of_rooms = np.zeros(len(units), np.int64) if rule.rooms is None else rule.rooms
