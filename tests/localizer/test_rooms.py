@@ -109,7 +109,7 @@ def test_many_small_rooms_do_not_cost_the_guarantee_of_all():
     assert np.mean(missed) <= alpha + 1e-12
 
 
-def test_two_targets_calibrated_apart_have_thresholds_by_group():
+def test_two_targets_calibrated_apart_have_thresholds_by_room():
     cells = SplitConformal(CELLS, 0.25, "hpd", "bonferroni").calibrate_scores(np.random.default_rng(0).random((40, 2)))
     limits = thresholds_by_group(cells, np.repeat([0, 1], [38, 2]))
     assert (limits[1] >= cells.thresholds_).all()
@@ -123,7 +123,7 @@ def test_a_part_of_a_part_keeps_the_weights_in_whole_units():
     assert quarter.weight == Fraction(3, 4)
 
 
-def test_each_type_has_thresholds_by_group():
+def test_each_type_has_thresholds_by_room():
     rng = np.random.default_rng(0)
     rooms, recognised = rng.integers(0, 2, 200), rng.random(200) < 0.5
     scores = rng.random(200) * (1 + rooms)
