@@ -166,5 +166,5 @@ def test_known_places_in_a_small_room_do_not_pay_for_unknown_ones():
     assert elsewhere == pytest.approx(conformal_quantile(scores[~novel], 0.25))
     assert lost_elsewhere == pytest.approx(conformal_quantile(scores[novel], 0.25))
     # without calibration frames of a kind, those of all frames
-    same = NoveltyLimits.of(rule(scores[:40]), novel[:40], None)
+    same = NoveltyLimits.of(rule(scores[:40]), novel[:40], np.zeros(40, int))
     np.testing.assert_array_equal(same(np.array([True, False]), np.zeros(2, int))[0], same.of_all)

@@ -22,9 +22,13 @@ CELLS = QuantileBins.from_edges([np.linspace(-1, 1, 11)] * 7)
 PRIOR = MotionPrior(0.5, (0.1, 0.2), (1.0, 0.9), (0.2, 0.1), 2.0, 0.3, 20.0)
 
 
+def one_room(squared):
+    return np.zeros(len(squared), int)
+
+
 def rule_of(squared, units=None, alpha=0.1):
     calibration = path_rule(CELLS, alpha).calibrate_scores(np.zeros((len(squared), 7)), units)
-    return PathRule(calibration, 0.2, np.asarray(squared, float), np.ones(len(squared)), 0.1)
+    return PathRule(calibration, 0.2, np.asarray(squared, float), np.ones(len(squared)), 0.1, one_room(squared))
 
 
 def factor(rule):
@@ -89,9 +93,10 @@ def test_frames_like_no_known_place_have_a_factor_and_thresholds_of_their_own():
     squared = np.concatenate((rng.chisquare(6, 50), 100 * rng.chisquare(6, 50)))
     scores = np.repeat(np.concatenate((rng.random(50), np.full(50, np.inf)))[:, None], 7, axis=1)
     p = np.where(novel, 0.05, 1.0)
-    both = PathRule(path_rule(CELLS, 0.1).calibrate_scores(scores), 0.2, squared, p, 0.1)
+    both = PathRule(path_rule(CELLS, 0.1).calibrate_scores(scores), 0.2, squared, p, 0.1, one_room(p))
     for kind, rows in ((False, slice(None, 50)), (True, slice(50, None))):
-        alone = PathRule(path_rule(CELLS, 0.1).calibrate_scores(scores[rows]), 0.2, squared[rows], p[rows], 0.1)
+        calibration = path_rule(CELLS, 0.1).calibrate_scores(scores[rows])
+        alone = PathRule(calibration, 0.2, squared[rows], p[rows], 0.1, one_room(p[rows]))
         asked = np.array([kind]), room
         np.testing.assert_array_equal(both.thresholds(*asked), alone.calibration.thresholds_[None])
         assert both.variance_factors(*asked) == pytest.approx(alone.variance_factors(*asked))
@@ -100,7 +105,7 @@ def test_frames_like_no_known_place_have_a_factor_and_thresholds_of_their_own():
 
 def test_too_few_frames_of_a_kind_have_the_largest_error_of_their_own():
     squared, p = np.concatenate((np.full(6, 20.0), np.full(2, 1e8))), np.repeat([1.0, 0.05], [6, 2])
-    few = PathRule(path_rule(CELLS, 0.1).calibrate_scores(np.zeros((8, 7))), 0.2, squared, p, 0.1)
+    few = PathRule(path_rule(CELLS, 0.1).calibrate_scores(np.zeros((8, 7))), 0.2, squared, p, 0.1, one_room(p))
     both = np.array([False, True]), np.zeros(2, int)
     assert few.variance_factors(*both) == pytest.approx(np.array([20, 1e8]) / chi2.ppf(0.9, 6))
     # of frames of all kinds where none is of their own
@@ -111,7 +116,7 @@ def test_the_p_value_of_a_new_image_chooses_its_factor():
     model = small_model()
     rule = model.path_rules[ONLINE]
     squared = np.where(rule.novel, 9.0, 1.0)
-    model = replace(model, rooms=None, path_rules={ONLINE: replace(rule, squared=squared, rooms=None)})
+    model = replace(model, rooms=None, path_rules={ONLINE: replace(rule, squared=squared, rooms=one_room(squared))})
     answer = VisualOdometry(model).step(image(), 1.0)
     level = model.rules.level
     known, weak, unknown = EvidenceType.LANDMARKS, EvidenceType.WEAK, EvidenceType.UNKNOWN

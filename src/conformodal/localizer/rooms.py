@@ -112,17 +112,16 @@ class NoveltyLimits:
     by_room: dict[tuple[bool, int], RealArray]  # where a kind weighs enough for thresholds of its own
 
     @classmethod
-    def of(cls, rule: SplitConformal, novel: BoolArray, rooms: IntArray | None) -> Self:
+    def of(cls, rule: SplitConformal, novel: BoolArray, rooms: IntArray) -> Self:
         """From the calibration frames of a rule, (n,) whether these are novel, and their rooms (n,)."""
         of_kinds = thresholds_by_group(rule, novel.astype(np.int64))
         by_novelty = {bool(kind): limit for kind, limit in of_kinds.items()}
         by_room: dict[tuple[bool, int], RealArray] = {}
-        if rooms is not None:
-            for kind in by_novelty:
-                part = part_of(rule, novel == kind)
-                if weighs_enough(part):
-                    limits = thresholds_by_group(part, rooms[novel == kind])
-                    by_room |= {(kind, room): limit for room, limit in limits.items()}
+        for kind in by_novelty:
+            part = part_of(rule, novel == kind)
+            if weighs_enough(part):
+                limits = thresholds_by_group(part, rooms[novel == kind])
+                by_room |= {(kind, room): limit for room, limit in limits.items()}
         return cls(rule.thresholds_, by_novelty, by_room)
 
     def __call__(self, novel: BoolArray, rooms: IntArray) -> RealArray:

@@ -166,8 +166,6 @@ def make_path_rule(rules: RegionRules, scored: PathScores, units: IntArray | Non
     rule = path_rule(rules.overall.bins, rules.overall.alpha)
     rule.calibrate_scores(scored.scores, units)
     found = ~scored.lost
-    rooms = scored.rooms[found] if scored.rooms.any() else None
     longest_gap_s = float(scored.unseen_s[found].max(initial=0.0))
-    return PathRule(
-        part_of(rule, found), longest_gap_s, scored.squared[found], scored.known_p[found], rules.level, rooms
-    )
+    known = scored.known_p[found]
+    return PathRule(part_of(rule, found), longest_gap_s, scored.squared[found], known, rules.level, scored.rooms[found])

@@ -337,16 +337,14 @@ def _joined_path(one: PathRule, other: PathRule) -> PathRule:
     scores, units, sizes = (
         np.concatenate([getattr(part, name) for part in parts]) for name in ("scores_", "units_", "unit_sizes_")
     )
-    rooms = None
-    if one.rooms is not None or other.rooms is not None:
-        each = (one.rooms, other.rooms)
-        rooms = np.concatenate(
-            [np.zeros(len(p.scores_), np.int64) if r is None else r for p, r in zip(parts, each, strict=True)]
-        )
-    calibration = copy(one.calibration).calibrate_scores(scores, units, sizes)
-    squared = np.concatenate((one.squared, other.squared))
-    known_p = np.concatenate((one.known_p, other.known_p))
-    return PathRule(calibration, max(one.longest_gap_s, other.longest_gap_s), squared, known_p, one.level, rooms)
+    return replace(
+        one,
+        calibration=copy(one.calibration).calibrate_scores(scores, units, sizes),
+        longest_gap_s=max(one.longest_gap_s, other.longest_gap_s),
+        squared=np.concatenate((one.squared, other.squared)),
+        known_p=np.concatenate((one.known_p, other.known_p)),
+        rooms=np.concatenate((one.rooms, other.rooms)),
+    )
 
 
 def _with_references(
@@ -380,16 +378,10 @@ def _with_rooms(model: PoseModel, data: TrainingData) -> tuple[Rooms | None, Pos
     new = np.full(len(data.targets), labels.max() + 1)
     rooms = Rooms.of(positions, np.concatenate((labels, new)), model.localizer.depth_m)
     if rooms is None:
-        single = {path: replace(rule, rooms=None) for path, rule in model.path_rules.items()}
+        single = {path: replace(rule, rooms=np.zeros_like(rule.rooms)) for path, rule in model.path_rules.items()}
         return None, replace(model, rules=replace(model.rules, rooms=None), path_rules=single)
     number = np.array([rooms.rooms[np.flatnonzero(labels == label)[0]] for label in range(labels.max() + 1)])
-
-    def renumbered(old: IntArray | None, n: int) -> IntArray:
-        return number[np.zeros(n, dtype=np.int64) if old is None else old]
-
-    rules = replace(model.rules, rooms=renumbered(model.rules.rooms, len(model.rules.known_p)))
-    path_rules = {
-        path: replace(rule, rooms=renumbered(rule.rooms, len(rule.calibration.scores_)))
-        for path, rule in model.path_rules.items()
-    }
+    of_images = np.zeros(len(model.rules.known_p), np.int64) if model.rules.rooms is None else model.rules.rooms
+    rules = replace(model.rules, rooms=number[of_images])
+    path_rules = {path: replace(rule, rooms=number[rule.rooms]) for path, rule in model.path_rules.items()}
     return rooms, replace(model, rules=rules, path_rules=path_rules)

@@ -95,7 +95,7 @@ class PathRule:
     squared: FloatArray
     known_p: FloatArray  # (n,) p-values of the images of calibration frames; 0 of those out of range
     level: float  # significance level: images with p-values of at most this are novel
-    rooms: IntArray | None = None  # (n,) room of each calibration frame by its posterior; None where there is one
+    rooms: IntArray  # (n,) room of each calibration frame by its posterior; 0 where there is one
 
     def thresholds(self, novel: BoolArray, rooms: IntArray) -> RealArray:
         """(m, 7) thresholds of posteriors, from (m,) whether their image is novel and their rooms (m,).

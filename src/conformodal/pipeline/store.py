@@ -44,7 +44,7 @@ from .config import Method
 from .identity import FrameIdentities
 from .model import PATHS, ExpectedInput, JournalEntry, PathRule, PoseModel, SourceComparison, path_rule
 
-FORMAT = "conformodal-model-35"
+FORMAT = "conformodal-model-36"
 _JSON = "model.json"
 _FILES = {  # with the first digits of their digests; the detector of local features may have no network: an empty file
     "weights": "weights-{}.safetensors",
@@ -375,9 +375,9 @@ def _path_rule(rules: RegionRules, arrays: dict[str, AnyArray], path: str) -> Pa
     scores = np.repeat(arrays[f"path.{path}.scores"][:, None], rule.bins.n_targets, axis=1)
     of_units = () if rules.overall.units_ is None else ("units", "sizes")
     rule.calibrate_scores(scores, *(arrays[f"path.{path}.{name}"] for name in of_units))
-    squared, known_p = (arrays[f"path.{path}.{name}"] for name in ("squared", "known_p"))
+    squared, known_p, rooms = (arrays[f"path.{path}.{name}"] for name in ("squared", "known_p", "rooms"))
     longest_gap_s = float(arrays[f"path.{path}.longest_gap_s"][0])
-    return PathRule(rule, longest_gap_s, squared, known_p, rules.level, arrays.get(f"path.{path}.rooms"))
+    return PathRule(rule, longest_gap_s, squared, known_p, rules.level, rooms)
 
 
 def _novelty(arrays: dict[str, AnyArray], grid: tuple[int, int]) -> PlaceNovelty | None:

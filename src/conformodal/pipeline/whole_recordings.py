@@ -82,10 +82,9 @@ def calibrate_by_recordings(model: PoseModel) -> PoseModel:
             calibration=calibration,
             squared=rule.squared[rows],
             known_p=rule.known_p[rows],
-            rooms=None if rule.rooms is None else rule.rooms[rows],
+            rooms=rule.rooms[rows],
         )
-        of_rooms = np.zeros(len(units), np.int64) if rule.rooms is None else rule.rooms
-        if _loses_bounded(*(each.thresholds(rule.novel, of_rooms) for each in (rule, path_rules[path]))):
+        if _loses_bounded(*(each.thresholds(rule.novel, rule.rooms) for each in (rule, path_rules[path]))):
             return model
     novelty = model.novelty
     if novelty is not None:
