@@ -135,3 +135,15 @@ def test_a_share_of_inputs_is_dropped_and_their_mean_kept():
     assert (kept == 0).mean() == pytest.approx(0.3, abs=0.01)
     assert kept.mean() == pytest.approx(1, abs=0.01)
     assert heads._kept((3, 3), 0, None) is None
+
+
+@pytest.mark.parametrize(("unit", "stored"), [(1.0, "float16"), (1e6, "float32"), (1e-6, "float32")])
+def test_components_take_half_of_the_bytes_unless_half_precision_changes_them(unit, stored):
+    """Features in very large or small units have components beyond the range of half precision."""
+    rng = np.random.default_rng(0)
+    x = (rng.normal(size=(60, 5)) @ rng.normal(size=(5, 40))).astype(np.float32) * np.float32(unit)
+    projection = fit_projection(x, 8)
+    arrays = projection.arrays()
+    assert arrays["components"].dtype == stored
+    np.testing.assert_array_equal(type(projection).from_arrays(**arrays).apply(x), projection.apply(x))
+    assert np.linalg.norm(projection.apply(x), axis=1).mean() == pytest.approx(np.sqrt(8), rel=0.5)

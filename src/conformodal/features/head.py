@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.special import erf, softmax
 
-from conformodal.core.arrays import Float32Array, FloatArray, RealArray
+from conformodal.core.arrays import AnyArray, Float32Array, FloatArray, RealArray
 from conformodal.core.parallel import one_blas_thread, raise_if_cancelled
 from conformodal.core.progress import Progress
 
@@ -19,6 +19,7 @@ from .settings import TrainingConfig, VisionError
 
 _ROWS, _COLUMNS = 256, 2048  # samples, and features, of which copies are made at a time
 _EPSILON = np.float32(1e-5)  # of the layer norm
+_MAX_ROUNDED = 1e-3  # error of a standardised direction by half precision, as a share of its largest entry
 _LAYERS = "hidden.weight", "hidden.bias", "norm.weight", "norm.bias", "output.weight", "output.bias"
 
 
@@ -33,6 +34,17 @@ class Projection:
     def size(self) -> int:
         """How many components there are, k."""
         return int(self.components.shape[-1])
+
+    @classmethod
+    def from_arrays(cls, offset: Float32Array, components: AnyArray) -> Self:
+        """The projection that was stored."""
+        return cls(offset, components.astype(np.float32))
+
+    def arrays(self) -> dict[str, AnyArray]:
+        """Offset and components, to be stored: in half precision where that loses nothing."""
+        with np.errstate(over="ignore"):
+            half = self.components.astype(np.float16)
+        return {"offset": self.offset, "components": half if (half == self.components).all() else self.components}
 
     def apply(self, features: Float32Array) -> Float32Array:
         """Projected features (n, k) of features (n, F)."""
@@ -70,8 +82,19 @@ def fit_projection(features: Float32Array, n_components: int | None, view: slice
         return Projection(offset, np.asarray(1 / scale, dtype=np.float32))
     directions, variances = _principal_components(features, offset, scale, min(n_components, n - 1, n_features))
     directions /= np.sqrt(max(float(variances.mean()), 1e-12))
-    components = np.ascontiguousarray(directions.T / scale[:, None], dtype=np.float32)
-    return Projection(offset, components)
+    return Projection(offset, _rounded(np.ascontiguousarray(directions.T, dtype=np.float32), scale))
+
+
+def _rounded(directions: Float32Array, scale: Float32Array) -> Float32Array:
+    """Standardised directions (F, k) over the features' scale (F,), in half precision unless that changes them much.
+
+    They are most of a model's numbers but for its map.
+    """
+    components = directions / scale[:, None]
+    with np.errstate(over="ignore"):
+        half = components.astype(np.float16).astype(np.float32)
+    off = np.abs((half - components) * scale[:, None]).max(axis=0)
+    return half if (off <= _MAX_ROUNDED * np.abs(directions).max(axis=0)).all() else components
 
 
 def _principal_components(
@@ -82,30 +105,34 @@ def _principal_components(
     Exact, as the last of a few hundred directions are where a randomised solver is poor; by the eigenvectors of n x n
     products where there are fewer samples than features, in a fifth of the time of a singular value decomposition.
     These take some features at a time: copies of all of them would be what training needs most memory for.
+    scikit-learn takes a second and 80 MB to import, in each process of a training.
     """
     n, n_features = features.shape
-    if n > n_features:
-        from sklearn.decomposition import PCA  # noqa: PLC0415 - seconds to import; running a model fits none
-
-        pca = PCA(k, svd_solver="covariance_eigh").fit((features - offset) / scale)
-        return pca.components_, pca.explained_variance_
 
     def centred(part: slice) -> FloatArray:
         standardised = ((features[:, part] - offset[part]) / scale[part]).astype(np.float64)
         standardised -= standardised.mean(axis=0)
         return standardised
 
-    products = np.zeros((n, n))
-    for part in _blocks(n_features, _COLUMNS):
-        columns = centred(part)
-        products += columns @ columns.T
-    squares, vectors = eigh(products, subset_by_index=[n - k, n - 1])
-    squares, vectors = np.maximum(squares[::-1], 0), vectors[:, ::-1]
-    lengths = np.sqrt(squares)
-    lengths[squares <= n * np.finfo(np.float64).eps * squares[0]] = np.inf  # samples that repeat have no directions
-    directions = np.empty((k, n_features))
-    for part in _blocks(n_features, _COLUMNS):
-        directions[:, part] = vectors.T @ centred(part) / lengths[:, None]
+    def largest_eigenvectors(products: FloatArray) -> tuple[FloatArray, FloatArray]:
+        squares, vectors = eigh(products, subset_by_index=[len(products) - k, len(products) - 1])
+        return np.maximum(squares[::-1], 0), vectors[:, ::-1]
+
+    if n > n_features:
+        samples = centred(slice(None))
+        squares, vectors = largest_eigenvectors(samples.T @ samples)
+        directions = vectors.T
+    else:
+        products = np.zeros((n, n))
+        for part in _blocks(n_features, _COLUMNS):
+            columns = centred(part)
+            products += columns @ columns.T
+        squares, vectors = largest_eigenvectors(products)
+        lengths = np.sqrt(squares)
+        lengths[squares <= n * np.finfo(np.float64).eps * squares[0]] = np.inf  # samples that repeat have no directions
+        directions = np.empty((k, n_features))
+        for part in _blocks(n_features, _COLUMNS):
+            directions[:, part] = vectors.T @ centred(part) / lengths[:, None]
     largest = directions[np.arange(k), np.abs(directions).argmax(axis=1)]
     directions *= np.sign(largest)[:, None]  # the sign is arbitrary
     return directions, squares / (n - 1)

@@ -11,8 +11,10 @@ from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from scipy.optimize import Bounds, minimize
+from scipy.special import expit
 
-from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from conformodal.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, evenly_spread
 from conformodal.core.ranges import Range
 from conformodal.features.backbone import coarse_features
 from conformodal.features.local import LocalFeatures
@@ -24,6 +26,7 @@ _OUTLIER = 5.0  # standard deviations
 _SAME_ORIENTATION_RAD = 1.0  # an estimate rotated by more is another pose, however near
 _MIN_DISTANCE = 0.005  # scene depths plus radians: nearer to known frames, errors do not shrink further
 _MAX_GROWTH = 2.0  # exponent of a power law
+_MAX_PAIRED = 2000  # estimates between which slopes are taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,30 +174,38 @@ def _power_law(errors: FloatArray, sigmas: FloatArray, distance: FloatArray) -> 
 
 
 def _growth(errors: FloatArray, cause: FloatArray) -> float:
-    """Exponent, 0 to 2, with which errors (n,) grow with a cause (n,): the median slope of the logarithms."""
-    there = (errors > 0) & (cause > 0)
+    """Exponent, 0 to 2, with which errors (n,) grow with a cause (n,): the median slope of logarithms (Theil-Sen)."""
+    there = np.flatnonzero((errors > 0) & (cause > 0))
+    there = there[evenly_spread(len(there), _MAX_PAIRED)]
     x, y = np.log(cause[there]), np.log(errors[there])
-    if len(x) < 2 or np.ptp(x) == 0:
-        return 0.0
-    from scipy.stats import theilslopes  # noqa: PLC0415 - half a second to import; only learning needs it
-
-    return float(np.clip(theilslopes(y, x)[0], 0, _MAX_GROWTH))
+    # scipy.stats.theilslopes takes half a second and 20 MB to import, in each process of a training
+    one, other = np.triu_indices(len(x), 1)
+    run, rise = x[other] - x[one], y[other] - y[one]
+    slopes = rise[run != 0] / run[run != 0]
+    return float(np.clip(np.median(slopes), 0, _MAX_GROWTH)) if slopes.size else 0.0
 
 
 def _inlier_odds(log_support: FloatArray, inlier: BoolArray, weights: FloatArray) -> tuple[float, tuple[float, ...]]:
-    """Offset and slopes of the log odds; one inlier and one outlier are added, so that no probability is 0 or 1."""
-    middle = np.median(log_support, axis=0)
-    x = np.concatenate((log_support, [middle, middle]))
-    from sklearn.linear_model import LogisticRegression  # noqa: PLC0415 - a second to import; only learning needs it
+    """Offset and slopes of the log odds, by logistic regression with half of the slopes' square as penalty.
 
-    inlier, weights = np.concatenate((inlier, [True, False])), np.concatenate((weights, [1.0, 1.0]))
-    used = list(range(x.shape[1]))
-    while used:
-        model = LogisticRegression().fit(x[:, used], inlier, sample_weight=weights)
-        if (model.coef_[0] >= 0).all():
-            slopes = np.zeros(x.shape[1])
-            slopes[used] = model.coef_[0]
-            return float(model.intercept_[0]), tuple(slopes.tolist())
-        # support never lowers the probability of an inlier: a negative slope comes from too few outliers
-        used.pop(int(np.argmin(model.coef_[0])))
-    return float(np.log(weights[inlier].sum() / weights[~inlier].sum())), (0.0,) * x.shape[1]
+    Support never lowers the probability of an inlier: a negative slope would come from too few outliers. One inlier
+    and one outlier are added, so that no probability is 0 or 1. scikit-learn has no such bounds, and takes a second and
+    80 MB to import, in each process of a training.
+    """
+    middle = np.median(log_support, axis=0)
+    x = np.concatenate((log_support - middle, np.zeros((2, len(middle)))))
+    sign = np.where(np.concatenate((inlier, [True, False])), 1.0, -1.0)
+    weights = np.concatenate((weights, [1.0, 1.0]))
+
+    def loss(parameters: FloatArray) -> tuple[float, FloatArray]:
+        offset, slopes = parameters[0], parameters[1:]
+        margin = sign * (offset + x @ slopes)
+        pull = weights * sign * expit(-margin)
+        value = weights @ np.logaddexp(0, -margin) + slopes @ slopes / 2
+        return float(value), np.concatenate(([-pull.sum()], slopes - pull @ x))
+
+    bounds = Bounds(np.concatenate(([-np.inf], np.zeros(len(middle)))), np.full(1 + len(middle), np.inf))
+    start = np.zeros(1 + len(middle))
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-13, "gtol": 1e-7})
+    offset, slopes = float(found.x[0]), found.x[1:]
+    return offset - float(slopes @ middle), tuple(slopes.tolist())

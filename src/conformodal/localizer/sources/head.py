@@ -19,7 +19,7 @@ from .registry import SourceAnswer, SourceState, register_source
 
 _ARRAYS = {
     "offset": ArraySpec("f", ("n_features",)),
-    "components": ArraySpec("f", ("n_features", "k")),
+    "components": ArraySpec("ef", ("n_features", "k")),
     "hidden.weight": ArraySpec("f", ("hidden", "k")),
     "hidden.bias": ArraySpec("f", ("hidden",)),
     "norm.weight": ArraySpec("f", ("hidden",)),
@@ -27,7 +27,7 @@ _ARRAYS = {
     "output.weight": ArraySpec("f", ("n_bins", "hidden")),
     "output.bias": ArraySpec("f", ("n_bins",)),
 }
-_SCALES, _OF_SCALES = ArraySpec("f", ("n_features",)), ArraySpec("f", ("hidden", "n_features"))
+_SCALES, _OF_SCALES = ArraySpec("ef", ("n_features",)), ArraySpec("f", ("hidden", "n_features"))
 
 
 @register_source
@@ -63,12 +63,12 @@ class HeadSource:
 
     def state(self) -> SourceState:
         """The head's weights."""
-        return SourceState({"frames": self.frames, **self.head.weights})
+        return SourceState({"frames": self.frames, **self.head.weights, **self.head.projection.arrays()})
 
     @classmethod
     def from_state(cls, state: SourceState) -> Self:
         """The stored source."""
         scaled = state.arrays["components"].ndim == 1  # without principal components
         state.check(_ARRAYS | ({"components": _SCALES, "hidden.weight": _OF_SCALES} if scaled else {}), {})
-        weights = {k: v for k, v in state.arrays.items() if k != "frames"}
+        weights = {k: v.astype(np.float32, copy=False) for k, v in state.arrays.items() if k != "frames"}
         return cls(Head(weights, state.bins), state.arrays["frames"])

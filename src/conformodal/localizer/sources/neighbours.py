@@ -41,7 +41,7 @@ _ARRAYS = {
     "targets": ArraySpec("d", ("m", 7)),
     "target_scale": ArraySpec("d", (7,), "positive"),
     "offset": ArraySpec("f", ("n_features",)),
-    "components": ArraySpec("f", ("n_features", "k")),
+    "components": ArraySpec("ef", ("n_features", "k")),
 }
 _COUNT, _POSITIVE = Range(1, 1_000_000, whole=True), Range(0, 1e9, "(]")
 _SETTINGS: dict[str, Any] = {
@@ -290,7 +290,7 @@ class NeighbourSource:
         """Arrays of the regression, and its settings."""
         one, names = self.regression, ("references", "targets", "target_scale")
         arrays: dict[str, AnyArray] = {name: getattr(one, name) for name in names}
-        arrays |= {"frames": self.frames, **vars(one.projection)}
+        arrays |= {"frames": self.frames, **one.projection.arrays()}
         settings = {"regression": one.settings._asdict(), "errors": asdict(self.errors)}
         limits = {"typical": self.typical, "limit": self.limit, "least_sigma_m": self.least_sigma_m}
         return SourceState(arrays, {**settings, **limits})
@@ -300,7 +300,8 @@ class NeighbourSource:
         """The source that was stored."""
         state.check(_ARRAYS, _SETTINGS)
         arrays, settings = dict(state.arrays), state.settings
-        frames, projection = arrays.pop("frames"), Projection(arrays.pop("offset"), arrays.pop("components"))
+        frames = arrays.pop("frames")
+        projection = Projection.from_arrays(arrays.pop("offset"), arrays.pop("components"))
         regression = LocalRegression(projection, settings=LocalSettings(**settings["regression"]), **arrays)
         errors = ErrorModel.from_json(settings["errors"])
         typical, limit, least = (float(settings[name]) for name in ("typical", "limit", "least_sigma_m"))
