@@ -32,8 +32,8 @@ class Unit:
 
 
 UNITS = {
-    "cameras": Unit("cameras.py", 45, 2),
-    "camera_ablations": Unit("cameras.py --ablations", 40, 2, ("cameras",)),
+    "cameras": Unit("cameras.py --seeds 40 41", 46, 2),
+    "camera_ablations": Unit("cameras.py --ablations --seeds 40", 25, 2, ("cameras",)),
     "recordings": Unit("recordings.py", 14, 1, ("cameras",)),
     "unseen": Unit("unseen.py", 14),
     "landmarks": Unit("landmarks.py", 8),
@@ -48,7 +48,7 @@ UNITS = {
     "peers": Unit("peers/run.py --measure", 35, 2),
     "growth": Unit("growth.py", 20, 2),
     "table1": Unit("table1.py --seeds 1 --first-seed 30", 28, 2),
-    "extend": Unit("extend.py --orders 1 --simulated 1000", 20),
+    "extend": Unit("extend.py --orders 3 --simulated 1000", 70),
     "monitor": Unit("monitor.py --sequences 10000", 5),
     "score_stream": Unit("score_stream.py", 1),
     "long_stream": Unit("long_stream.py --frames 20000", 12),
