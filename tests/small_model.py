@@ -100,11 +100,17 @@ def _head(rng, features, n_outputs):
     shapes |= {"norm.weight": (_HIDDEN,), "norm.bias": (_HIDDEN,), "output.weight": (n_outputs, _HIDDEN)}
     weights = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
     weights |= {"offset": features.mean(axis=0), "output.bias": np.zeros(n_outputs, np.float32)}
+    weights["components"] = _in_half_precision(weights["components"])
     return HeadSource(Head(weights, [n_outputs // 7] * 7), _FRAMES)
 
 
+def _in_half_precision(components):
+    """As those of a fit are, so that they are stored as such."""
+    return components.astype(np.float16).astype(np.float32)
+
+
 def _neighbours(rng, features, targets):
-    components = rng.normal(size=(features.shape[1], 3)).astype(np.float32)
+    components = _in_half_precision(rng.normal(size=(features.shape[1], 3)))
     projection = Projection(features.mean(axis=0), components)
     references, scale = projection.apply(features[_FRAMES]), np.ones(7)
     regression = LocalRegression(projection, references, targets[_FRAMES], scale, LocalSettings(3, 4, 0.03, 0.5))

@@ -43,7 +43,7 @@ def test_training_is_the_same_in_a_thread_of_its_own(dropout):
     np.testing.assert_array_equal(*found)
 
 
-def test_the_gradient_of_the_cross_entropy_is_torchs_whatever_the_sizes_of_the_targets():
+def test_cross_entropy_gradient_matches_torch():
     rng = np.random.default_rng(0)
     for sizes in ([3, 3], [2, 4]):
         raw = torch.from_numpy(rng.normal(size=(8, 6))).requires_grad_()
@@ -138,7 +138,7 @@ def test_a_share_of_inputs_is_dropped_and_their_mean_kept():
 
 
 @pytest.mark.parametrize(("unit", "stored"), [(1.0, "float16"), (1e6, "float32"), (1e-6, "float32")])
-def test_components_take_half_of_the_bytes_unless_half_precision_changes_them(unit, stored):
+def test_components_use_half_precision_if_exact(unit, stored):
     """Features in very large or small units have components beyond the range of half precision."""
     rng = np.random.default_rng(0)
     x = (rng.normal(size=(60, 5)) @ rng.normal(size=(5, 40))).astype(np.float32) * np.float32(unit)

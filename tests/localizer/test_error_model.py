@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from scipy.stats import theilslopes
+from sklearn.linear_model import LogisticRegression
 
 from conformodal.localizer.evidence import HeldOutErrors, PoseMeasurement, fit_error_model
 
@@ -27,7 +29,7 @@ def estimate(sigma=1.0, distance=0.0):
     return PoseMeasurement(np.zeros(3), np.array([1.0, 0, 0, 0]), sigma, sigma, 50, distance_to_known=distance)
 
 
-def test_errors_that_follow_the_prediction_and_the_distance_are_learnt():
+def test_error_growth_with_sigma_and_distance_is_learnt():
     rng = np.random.default_rng(0)
     sigma, distance = np.exp(rng.normal(size=(2, 3000)))
     found = fit_error_model(
@@ -59,7 +61,7 @@ def test_errors_grow_with_their_cause_as_far_as_that_is_credible(cause, power, g
 
 
 @pytest.mark.parametrize(("heavy", "by_tail"), [(0.0, False), (0.1, True)])
-def test_the_standard_deviation_fits_the_median_or_the_tail_whichever_asks_for_more(heavy, by_tail):
+def test_sigma_fits_the_larger_of_median_and_tail(heavy, by_tail):
     errors = 0.1 * lengths(4000, 3) * np.where(np.random.default_rng(4).random(4000) < heavy, 6, 1)
     found = fit_error_model(held_out(errors), ANYWHERE).position
     by = np.median(errors) / 1.5382, np.quantile(errors, 0.95) / 2.7955
@@ -67,7 +69,8 @@ def test_the_standard_deviation_fits_the_median_or_the_tail_whichever_asks_for_m
     assert (by[1] > 1.5 * by[0]) == by_tail
 
 
-def test_estimates_of_another_place_are_outliers_and_no_errors_of_measurement():
+def test_estimates_of_other_places_are_outliers():
+    """They do not enlarge the errors of measurement."""
     errors = 0.1 * lengths(200, 5)
     clean = fit_error_model(held_out(errors), 2.0)
     elsewhere = np.concatenate((errors, np.full(100, 30.0)))
@@ -89,7 +92,7 @@ def test_a_model_is_learnt_from_twenty_estimates_near_the_truth(n, learnt):
     assert (fit_error_model(held_out(errors), 2.0) is not None) == learnt
 
 
-def test_support_makes_an_inlier_more_probable_as_often_as_it_did():
+def test_support_predicts_inlier_probability():
     rng = np.random.default_rng(6)
     support = np.exp(rng.normal(size=(5000, 2)))
     inlier = rng.random(5000) < 1 / (1 + np.exp(-(0.5 + 1.5 * np.log(support[:, 0]))))
@@ -98,3 +101,31 @@ def test_support_makes_an_inlier_more_probable_as_often_as_it_did():
     assert (found.log_odds, *found.slopes) == pytest.approx((0.5, 1.5, 0.0), abs=0.1)
     few, many = (found.apply(estimate(), share, 1.0).inlier_probability for share in (0.3, 3.0))
     assert few < 0.5 < many
+
+
+def test_no_support_lowers_the_probability_of_an_inlier():
+    """The second support is larger for outliers; the fit is the best among slopes that are not negative."""
+    rng = np.random.default_rng(8)
+    log_support, weights = rng.normal(size=(400, 2)), rng.uniform(0.05, 1, 400)
+    inlier = rng.random(400) < 1 / (1 + np.exp(-(1 + log_support @ (1.0, -1.0))))
+    errors = np.where(inlier, 0.1 * lengths(400, 9), 30.0)
+    found = fit_error_model(held_out(errors, support=np.exp(log_support), weights=weights), 2.0)
+    assert found.slopes[0] > 0.5
+    assert found.slopes[1] == 0
+    alone = held_out(errors, support=np.exp(log_support[:, :1]), weights=weights)
+    expected = fit_error_model(alone, 2.0)
+    # the other support's median offset is all that differs
+    assert (found.log_odds, found.slopes[0]) == pytest.approx((expected.log_odds, *expected.slopes), abs=1e-4)
+    x, w = np.append(log_support[:, 0], np.full(2, np.median(log_support[:, 0]))), np.append(weights, [1, 1])
+    reference = LogisticRegression(tol=1e-10).fit(x[:, None], np.append(inlier, [True, False]), sample_weight=w)
+    assert expected.log_odds == pytest.approx(reference.intercept_[0], abs=1e-4)
+    assert expected.slopes == pytest.approx(reference.coef_[0], abs=1e-4)
+
+
+@pytest.mark.parametrize("n", [30, 2000])
+def test_growth_is_theil_sens_slope(n):
+    rng = np.random.default_rng(n)
+    cause = np.exp(np.round(rng.normal(size=n), 1))  # some are equal
+    error = cause**0.7 * np.exp(rng.normal(size=n))
+    found = fit_error_model(held_out(error, distance=cause), ANYWHERE)
+    assert found.position_distance == pytest.approx(theilslopes(np.log(error), np.log(cause))[0], rel=1e-12)

@@ -26,7 +26,7 @@ _OUTLIER = 5.0  # standard deviations
 _SAME_ORIENTATION_RAD = 1.0  # an estimate rotated by more is another pose, however near
 _MIN_DISTANCE = 0.005  # scene depths plus radians: nearer to known frames, errors do not shrink further
 _MAX_GROWTH = 2.0  # exponent of a power law
-_MAX_PAIRED = 2000  # estimates between which slopes are taken
+_MAX_PAIRED = 2000  # estimates between which slopes are taken: more come with each recording that joins
 
 
 @dataclass(frozen=True, eq=False)
