@@ -25,7 +25,7 @@ _AS_LONG = 1.01
 _FEWEST_ROWS, _MOST_ROWS = 100, 5000
 
 
-class _Judged(NamedTuple):
+class _JudgedScore(NamedTuple):
     """A score, the logarithm of the mean size of its sets, and coverage of the rows with the widest distributions."""
 
     score: Score
@@ -53,7 +53,7 @@ def choose_score(left_out: Sequence[LeftOut], widths: Sequence[FloatArray], alph
     return interval.score if as_good else best.score
 
 
-def _judge(score: Score, left_out: list[LeftOut], widths: Sequence[FloatArray], alpha: Alpha) -> _Judged:
+def _judge(score: Score, left_out: list[LeftOut], widths: Sequence[FloatArray], alpha: Alpha) -> _JudgedScore:
     sizes, covered = [], []
     for (proba, codes), each in zip(left_out, widths, strict=True):
         scores = score.of_bins(proba, each)
@@ -62,4 +62,6 @@ def _judge(score: Score, left_out: list[LeftOut], widths: Sequence[FloatArray], 
         _, spread = deviations(proba, each)
         sizes.append(float(((scores <= threshold) @ each).mean()))
         covered.append(float((own <= threshold)[spread >= np.quantile(spread, 0.75)].mean()))
-    return _Judged(score, float(np.log(np.maximum(sizes, np.finfo(np.float64).tiny)).mean()), float(np.mean(covered)))
+    return _JudgedScore(
+        score, float(np.log(np.maximum(sizes, np.finfo(np.float64).tiny)).mean()), float(np.mean(covered))
+    )

@@ -11,7 +11,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class MapSettings:
+class LandmarkMapSettings:
     """How frames with known poses become landmarks."""
 
     max_landmarks: int = 300  # of a frame
@@ -78,5 +78,5 @@ class LandmarkSettings:
     hidden_overlaps: tuple[float, ...] = (0.0, 0.3)
     hidden_weight: float = 0.05
     same_place_depths: float = 0.5  # within which an estimate is of the same place
-    mapping: MapSettings = MapSettings()
+    mapping: LandmarkMapSettings = LandmarkMapSettings()
     pose: PoseSettings = PoseSettings()

@@ -27,7 +27,7 @@ from conformodal.geometry.map_poses import (
     inlier_rays,
 )
 from conformodal.geometry.triangulation import Points, Rays, triangulate
-from conformodal.localizer.landmark_settings import MapSettings
+from conformodal.localizer.landmark_settings import LandmarkMapSettings
 
 
 class TriangulatedFrames(NamedTuple):
@@ -47,7 +47,7 @@ def triangulate_frames(
     depth_m: float,
     progress: Progress | None,
     matcher: Matcher,
-    settings: MapSettings,
+    settings: LandmarkMapSettings,
 ) -> TriangulatedFrames:
     """Triangulate corners of n frames with known poses (n, 4, 4), which are adjusted with them."""
     pairs = _matched(features, _partners(poses_se3, depth_m, settings), matcher, progress)
@@ -80,7 +80,7 @@ def triangulate_beside(
     poses_se3: FloatArray,
     depth_m: float,
     progress: Progress | None,
-    settings: MapSettings,
+    settings: LandmarkMapSettings,
 ) -> TriangulatedFrames:
     """Triangulate corners of m more frames with known poses (m, 4, 4), in a map whose poses and camera stay.
 
@@ -109,7 +109,7 @@ class _Triangulation:
         self,
         features: Sequence[LocalFeatures],
         pairs: Sequence[Sequence[tuple[int, IntArray]]],
-        settings: MapSettings,
+        settings: LandmarkMapSettings,
         first: int = 0,
     ) -> None:
         self._features, self._pairs, self._settings, self._first = features, pairs, settings, first
@@ -218,7 +218,7 @@ def view_overlap(poses_se3: FloatArray, i: int, camera: PinholeCamera, depth_m: 
     return np.asarray(inside.mean(axis=1))
 
 
-def _partners(poses_se3: FloatArray, depth_m: float, settings: MapSettings) -> list[IntArray]:
+def _partners(poses_se3: FloatArray, depth_m: float, settings: LandmarkMapSettings) -> list[IntArray]:
     """For each frame, others that see the same scene from other positions; the best first."""
     centres, forward = poses_se3[:, :3, 3], poses_se3[:, :3, 2]
     partners = []
