@@ -26,7 +26,7 @@ if __name__ == "__main__":
         model = train_model(data, config)
         run = VisualOdometry(model).process(sequence, model.split.test)
 
-        forest = ExtraTreesRegressor(100, min_samples_leaf=2, random_state=0)
+        forest = ExtraTreesRegressor(100, min_samples_leaf=2, max_features="sqrt", random_state=0)
         forest.fit(data.features[data.split.train], data.targets[data.split.train])
         values = forest.predict(data.features[run.frames])
         answer = Trajectory(run.timestamps_s, values[:, :3], normalise_quat(values[:, 3:]))
