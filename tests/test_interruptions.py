@@ -101,7 +101,7 @@ def test_a_model_is_replaced_whole_or_not_at_all(tmp_path, how):
     assert step > 5
 
 
-def test_metrics_of_an_earlier_training_are_not_shown_with_a_new_model(tmp_path):
+def test_metrics_of_an_earlier_model_are_not_shown(tmp_path):
     old, new = models()
     save_model(old, tmp_path)
     record = {"command": "train", "model": model_digest(tmp_path), "verdict": ["of the old one"]}
@@ -285,7 +285,7 @@ def test_regions_of_a_table_are_replaced_whole_or_not_at_all(tmp_path, regressor
     assert seen == {b"earlier", whole}
 
 
-def test_what_a_killed_process_left_of_a_file_goes_with_the_next_one(tmp_path, regressors):
+def test_the_next_save_removes_files_of_a_killed_process(tmp_path, regressors):
     with subprocess.Popen([sys.executable, "-c", ""]) as ended:
         pass
     left = tmp_path / f".y.skops.{_HOST}.{ended.pid}-1{PART}"
@@ -301,9 +301,7 @@ def test_what_a_killed_process_left_of_a_file_goes_with_the_next_one(tmp_path, r
 @pytest.mark.parametrize(
     "command", ["train", "run", "extend", "table fit --model", "table fit --plot", "table predict"]
 )
-def test_an_output_that_cannot_be_written_is_refused_in_one_line_before_the_work(
-    tmp_path, monkeypatch, images, regressors, command, named
-):
+def test_an_unwritable_output_is_refused_before_the_work(tmp_path, monkeypatch, images, regressors, command, named):
     out, rows = tmp_path / named, tmp_path / "rows.csv"
     (tmp_path / "out").mkdir()
     save_model(small_model(), tmp_path / "m")

@@ -41,7 +41,8 @@ def test_the_distributions_hold_what_they_need(built):
 
 
 @pytest.mark.slow
-def test_the_wheel_regresses_without_an_extra_and_names_the_one_that_the_command_line_needs(built, tmp_path):
+def test_the_wheel_needs_no_extra_for_tables(built, tmp_path):
+    """Its command line names the extra that it needs."""
     bare = release.environment(tmp_path / "env", built[0], offline=True)
     release.check(bare, VERSION, tmp_path)
     with pytest.raises(release.ReleaseError, match="AssertionError"):

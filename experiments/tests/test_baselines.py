@@ -101,7 +101,7 @@ def test_an_ensemble_is_the_mean_of_five_and_knows_its_size(trained):
     assert not np.allclose(ensemble.predict(x), tuned.predict(x))
 
 
-def test_a_mixture_answers_with_one_of_two_values_where_a_mean_lies_between():
+def test_mixture_answers_with_a_mode_not_the_mean():
     data = make_data(two_answers=True)
     tuned = SimpleNamespace(training=CONFIG, mean=data.targets.mean(axis=0), scale=data.targets.std(axis=0))
     answers = mixture_density(RegressionTask(data, tuned)).predict(data.features[data.split.test])
@@ -165,7 +165,7 @@ def test_a_training_that_broke_down_is_never_the_best(broken):
     assert search.best == at(1e-3, 0.0)
 
 
-def test_where_the_last_training_breaks_down_the_next_best_settings_take_over():
+def test_failed_final_training_uses_next_best_settings():
     search = SettingsSearch(lambda s: {0.3: 1.0, 0.1: 2.0, 0.0: 3.0}[s.dropout])
     search.try_out(at(1e-3), at(1e-3, 0.1), at(1e-3, 0.0))
     errors = {0.3: math.nan, 0.1: 4.1, 0.0: 5.9}

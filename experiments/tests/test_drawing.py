@@ -34,7 +34,8 @@ def test_bars_at_or_above_the_threshold_are_the_set(n):
     assert figure.axes[0].get_title() == ("1 interval" if n == 1 else "2 intervals")
 
 
-def test_the_overview_has_a_panel_a_step_even_where_a_set_is_empty_or_the_whole_line():
+def test_overview_has_one_panel_per_step():
+    """Also where a set is empty or the whole line."""
     empty = SoftmaxOfTarget("y", EDGES, PROBA, 0.9, np.empty((0, 2)), 2.5)
     whole = SoftmaxOfTarget("z", EDGES, PROBA, -np.inf, np.array([[-np.inf, np.inf]]), 2.5)
     rng = np.random.default_rng(0)

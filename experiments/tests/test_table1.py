@@ -103,7 +103,7 @@ def test_the_table_holds_every_row_with_ratios_seed_by_seed():
         ]
 
 
-def test_the_first_tables_set_each_system_beside_regressors_on_its_features():
+def test_lead_tables_compare_systems_with_regressors():
     tasks = tasks_of(ROWS, BOTH, [0, 1, 2], 100, "digest")
     records = tidy(ROWS, tasks, [made_up(t) for t in tasks])
     papers, ours = Tables(ROWS, records).leads(["interleaved", "blocks"]).values()
@@ -245,7 +245,7 @@ def test_the_table_on_a_small_corridor_goes_on_and_is_drawn(papers, ran):
         StoredRun.read(out / "runs" / "ours-interleaved-bins10")
 
 
-def test_baselines_that_take_seconds_stand_in_the_table_by_default():
+def test_fast_baselines_are_in_the_table_by_default():
     assert WhichBaselines.DEFAULT.names == ("local_regression",)
     assert set(WhichBaselines.ALL.names) == set(BASELINES) > set(WhichBaselines.DEFAULT.names)
     tasks = tasks_of(ROWS, BOTH, [0], 100, "digest", baselines=("local_regression",))

@@ -92,7 +92,7 @@ def test_a_stopped_run_goes_on_where_it_was(tmp_path):
     assert rest.done == [3, 4]
 
 
-def test_results_of_other_settings_or_damaged_ones_are_worked_out_again(tmp_path):
+def test_damaged_or_outdated_results_are_recomputed(tmp_path):
     run_tasks([Square(k) for k in range(4)], Counting(), tmp_path)
     (tmp_path / "square-1.json").write_text("{")
     (tmp_path / "square-2.json").write_text("[]")
@@ -141,7 +141,7 @@ def test_a_killed_process_is_named_and_finished_results_stay(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_ray_cluster_of_two_nodes_shares_the_work_and_raises_errors_here(tmp_path):
+def test_ray_cluster_shares_the_work_and_raises_errors(tmp_path):
     ray = pytest.importorskip("ray")
     utils = pytest.importorskip("ray.cluster_utils")
     with pytest.MonkeyPatch.context() as patch:

@@ -57,7 +57,7 @@ def test_help_of_every_verb_explains_every_option():
     ("words", "meant"),
     [("tabel", "'table'"), ("data chekc", "'check'"), ("table fti a", "'fit'"), ("train a --split x", "'x' is not")],
 )
-def test_what_is_mistyped_is_told_with_what_was_meant(words, meant):
+def test_a_typo_is_reported_with_a_suggestion(words, meant):
     shown = refusal(*words.split())
     assert meant in shown
     assert "Value error" not in shown
@@ -175,7 +175,7 @@ def test_test_frames_with_a_known_picture_are_counted(small_world, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_check_with_a_model_looks_at_frames_that_no_source_has_seen(small_world, tmp_path):
+def test_data_check_with_a_model_uses_unseen_frames(small_world, tmp_path):
     out = tmp_path / "out"
     options = ["--model", small_world.model, "--cache", small_world.cache, "--out", out]
     for _ in range(2):  # its own folder is written over

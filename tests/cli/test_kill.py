@@ -32,7 +32,7 @@ def wait_for(process, ready) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", SIGNALS)
-def test_a_run_that_is_stopped_keeps_what_it_answered_and_what_was_before(small_world, tmp_path, how):
+def test_a_stopped_run_keeps_its_answers(small_world, tmp_path, how):
     run = ["run", small_world.model, small_world.folder, "--out", tmp_path / "out"]
     moment = random.Random(how).randint(3, 12)
     regions = tmp_path / "out" / "regions.jsonl.part"

@@ -54,7 +54,7 @@ def test_a_socket_of_the_internet_would_be_noticed(tmp_path, family):
     assert (found.returncode, found.stdout) == (-signal.SIGSYS, "1\n")
 
 
-def test_running_a_network_leaves_nothing_in_the_home_and_says_nothing(tmp_path):
+def test_a_network_prints_nothing_and_leaves_home_empty(tmp_path):
     shipped = "files('conformodal.features').joinpath('shipped', 'xfeat.onnx').read_bytes()"
     opened = f"from importlib.resources import files; open_session({shipped})"
     found = run_offline("-c", f"from conformodal.features.backbone import open_session; {opened}", home=tmp_path / "h")

@@ -21,22 +21,22 @@ COMMANDS = {
 # command, options, and what the message names
 REFUSED = [
     *(("train", f"--{name}={value}", name) for name in ("bins", "epochs") for value in (0, 10**7, "x")),
-    *(("train", f"--test={value}", "test") for value in (0, 1, "nan")),
-    *(("train", f"--alpha={value}", "alpha") for value in (0, 1, 90, "nan")),
+    *(("train", f"--test={value}", "test must be a finite number") for value in (0, 1, "nan")),
+    *(("train", f"--alpha={value}", "alpha must") for value in (0, 1, 90, "nan")),
     *((command, f"--seed={value}", "seed") for command in ("train", "demo") for value in (-1, 0.5)),
-    ("train", "--test=0.9", "calibration"),
+    ("train", "--test=0.9", "must leave something to train on"),
     ("train", "--network=resnet", "resnet"),
-    ("train", "--score=best", "score"),
-    ("train", "--joint=bonferroni", "joint"),
+    ("train", "--score=best", "score must be"),
+    ("train", "--joint=bonferroni", "joint must be"),
     ("train", "--sources=head,stars", "stars"),
-    ("train", "--cache=file", "file"),
-    ("train", "--out=file", "file"),
-    ("train", "", "data"),
+    ("train", "--cache=file", "file: cannot be written"),
+    ("train", "--out=file", "file: cannot be written"),
+    ("train", "", "data: no such file or folder"),
     ("train", "--split=blocks --test=other", "--test"),
     ("train", "--address=host:6379", "--address needs --engine ray, got --engine local"),
-    ("train", "--method=paper --score=hpd", "score"),
-    ("train", "--method=paper --joint=max", "joint"),
-    ("run", "", "model"),
+    ("train", "--method=paper --score=hpd", "no settings {'score'"),
+    ("train", "--method=paper --joint=max", "no settings {'joint'"),
+    ("run", "", "no saved model there"),
     ("run", "--limit=0", "limit"),
     ("run", "--save=.", "--save"),
     ("run", "--save=file", "--save"),
@@ -115,7 +115,7 @@ def test_every_end_is_one_line_and_a_code(monkeypatch, error, code, named):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_error_that_a_library_makes_of_an_interrupt_is_an_interrupt(number):
+def test_an_interrupt_masked_by_an_error_is_reported(number):
     small = typer.Typer()
 
     @small.command()

@@ -77,7 +77,7 @@ def test_a_video_of_another_camera_needs_its_focal_length(small_world, tmp_path)
     assert "--focal" in refusal("run", small_world.model, small_world.folder, "--focal", 99, "--out", out)
 
 
-def test_frames_without_a_pose_are_answered_and_the_others_are_measured(small_world, tmp_path):
+def test_only_frames_with_a_true_pose_are_evaluated(small_world, tmp_path):
     """Errors and coverage are those of ``evaluate``, which pairs the frames that have a pose by their times."""
     place = tmp_path / "some"
     place.mkdir()

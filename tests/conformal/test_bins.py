@@ -39,7 +39,7 @@ def test_repeated_and_constant_values():
     assert constant.encode([3.0, 3.1])[:, 0].tolist() == [0, -1]
 
 
-def test_soft_targets_peak_at_the_true_bin_and_average_to_the_true_place():
+def test_soft_targets_are_centred_on_the_true_value():
     bins = QuantileBins.from_edges([np.array([0.0, 1, 3, 6, 10, 15])])
     y = np.array([4.5, 3.0, 12.0])
     soft = bins.soft_targets(y, 0.7)[0]
@@ -54,7 +54,8 @@ def test_soft_targets_peak_at_the_true_bin_and_average_to_the_true_place():
     assert outside.argmax(axis=1).tolist() == [0, 4]
 
 
-def test_a_repeated_value_gets_a_bin_that_reaches_half_way_to_its_neighbours():
+def test_repeated_values_get_their_own_bin():
+    """It reaches half-way to the neighbouring values."""
     np.testing.assert_allclose(QuantileBins(50).fit(np.repeat([0.0, 1.0], [90, 10])).edges_[0], [-0.5, 0.5, 1.5])
     edges = QuantileBins(10).fit(np.concatenate((np.linspace(-1, 1, 101), np.zeros(100)))).edges_[0]
     assert np.isin([-0.01, 0.01], np.round(edges, 9)).all()

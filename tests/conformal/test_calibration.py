@@ -156,7 +156,8 @@ def chosen_counts(n, alpha, shift):
     return counts, names
 
 
-def test_coverage_follows_the_same_law_where_training_rows_choose_the_score():
+def test_coverage_law_holds_with_a_chosen_score():
+    """Training rows choose it."""
     counts, names = chosen_counts(29, 0.2, 0)
     assert len(names) >= 3
     assert p_value(counts, beta_binomial(29, 0.2)) > 0.001

@@ -45,13 +45,14 @@ def test_sets_are_never_longer_than_one_interval(seed):
 
 
 @pytest.mark.parametrize("modes", [(0.0,), (-4.0, 4.0)])
-def test_rows_with_wide_distributions_are_covered_nearly_as_often_as_others(modes):
+def test_wide_distributions_are_covered_like_others(modes):
     score, new = choose_score([rows(0, modes=modes)], [WIDTHS], 0.1), rows(1, modes=modes)
     assert covered(Density(), new) < 0.83
     assert covered(score, new) > 0.88
 
 
-def test_one_interval_is_not_taken_where_it_covers_wide_distributions_less_often():
+def test_interval_score_needs_even_coverage():
+    """It is not chosen where it covers wide distributions less often."""
     rng = np.random.default_rng(0)
     centers, wide = (EDGES[1:] + EDGES[:-1]) / 2, rng.random(4000) < 0.25
     spread = rng.uniform(0.05, 0.1, (4000, 1))  # narrow distributions have a little far mass, which their spread counts
@@ -94,7 +95,7 @@ def test_the_regressor_uses_what_was_chosen_and_keeps_no_rows(tmp_path):
     assert fixed.calibrator_.score == "density"
 
 
-def test_scaled_densities_do_not_depend_on_the_unit_of_the_target():
+def test_scaled_density_ignores_the_unit_of_the_target():
     rng = np.random.default_rng(0)
     bins = QuantileBins.from_edges([np.cumsum(rng.uniform(0.1, 2, 9))])
     proba = rng.dirichlet(np.ones(8), 20)

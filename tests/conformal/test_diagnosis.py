@@ -48,7 +48,8 @@ def test_a_diagnosis_reports_a_broken_guarantee():
     assert "BELOW" in str(diagnose(cal, proba, y))
 
 
-def test_bands_of_many_groups_hold_at_once_and_the_ten_lowest_are_shown():
+def test_group_bands_hold_simultaneously():
+    """Of many groups, the ten with the lowest coverage are shown."""
     bins, outside = QuantileBins.from_edges([np.linspace(0, 1, 21)]), 0
     for seed in range(100):
         rng = np.random.default_rng(seed)

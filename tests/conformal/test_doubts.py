@@ -1,4 +1,4 @@
-"""Rows whose coverage is not that of new rows are told; sound tables are not."""
+"""Warnings of tables whose coverage is not that of new rows, and none of sound tables."""
 
 import warnings
 from itertools import permutations
@@ -64,7 +64,7 @@ def numbered(table, y):
     ],
 )
 @pytest.mark.parametrize("shuffled", [False, True])
-def test_rows_that_are_not_exchangeable_are_told(table, named, shuffled):
+def test_non_exchangeable_rows_warn(table, named, shuffled):
     X, y = table
     at = RNG.permutation(N) if shuffled else np.arange(N)  # the index keeps the order
     words = doubt_rows(X.iloc[at], y[at, None], False, False)
@@ -72,23 +72,8 @@ def test_rows_that_are_not_exchangeable_are_told(table, named, shuffled):
     assert not doubt_rows(X.iloc[at], y[at, None], True, True)
 
 
-def sound_tables():
-    labels = pd.DataFrame({name: RNG.choice(list("abcde"), N) for name in "uvw"})
-    X, y = make_friedman1(N, random_state=0)
-    up, x = np.argsort(y), np.linspace(0, 1, N)
-    return [
-        load_diabetes(return_X_y=True, as_frame=True), (labels, (labels.u == "a") + RNG.integers(0, 5, N)), (X, y),
-        (X[up], y[up]), (x[:, None], np.sin(9 * x) + RNG.normal(0, 0.1, N)), (X[:30], y[:30]),
-        numbered(pd.DataFrame(X), y),
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize("table", sound_tables(), ids=["diabetes", "labels", "friedman", "sorted", "grid", "few", "id"])
-def test_sound_tables_are_not_told(table):
-    assert doubt_rows(table[0], np.asarray(table[1], float)[:, None], False, False) == []
-
-
 def by_input(kind):
+    """A table that is sorted by an input."""
     rng = np.random.default_rng(5)
     X = pd.DataFrame(rng.normal(size=(N, 4)), columns=list("abcd"))
     y = (X.a + np.sin(2 * X.b) + 0.7 * rng.normal(size=N)).to_numpy()
@@ -101,10 +86,29 @@ def by_input(kind):
     return (X.set_index("a") if kind == "index" else X), y
 
 
-@pytest.mark.parametrize("kind", ["rising", "falling", "rounded", "label", "index"])
-def test_a_table_sorted_by_an_input_is_not_told(kind):
-    X, y = by_input(kind)
-    assert doubt_rows(X, y[:, None], False, False) == []
+def sound_tables():
+    labels = pd.DataFrame({name: RNG.choice(list("abcde"), N) for name in "uvw"})
+    X, y = make_friedman1(N, random_state=0)
+    up, x = np.argsort(y), np.linspace(0, 1, N)
+    return {
+        "diabetes": load_diabetes(return_X_y=True, as_frame=True),
+        "labels": (labels, (labels.u == "a") + RNG.integers(0, 5, N)),
+        "friedman": (X, y),
+        "sorted by the target": (X[up], y[up]),
+        "grid": (x[:, None], np.sin(9 * x) + RNG.normal(0, 0.1, N)),
+        "few": (X[:30], y[:30]),
+        "id": numbered(pd.DataFrame(X), y),
+        **{f"sorted by input, {kind}": by_input(kind) for kind in ("rising", "falling", "rounded", "label", "index")},
+    }
+
+
+SOUND = sound_tables()
+
+
+@pytest.mark.parametrize("table", SOUND.values(), ids=SOUND)
+def test_sound_tables_do_not_warn(table):
+    X, y = table
+    assert doubt_rows(X, np.asarray(y, float)[:, None], False, False) == []
 
 
 @pytest.mark.parametrize("clock", [np.arange(N), 0.25 * np.arange(N)[::-1]])
@@ -162,7 +166,8 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("sizes", [(500, 500), (500, 20_000)])
-def test_exchangeable_rows_are_called_unlike_in_at_most_one_of_a_hundred_files(kind, sizes):
+def test_exchangeable_rows_are_rarely_called_unlike(kind, sizes):
+    """In at most one of a hundred files."""
     told = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
@@ -191,7 +196,8 @@ def test_shifted_rows_are_called_unlike(kind):
     assert told >= 7
 
 
-def test_units_and_the_last_rows_mend_what_is_told():
+def test_remedies_for_non_exchangeable_rows():
+    """The two that the warnings name: units, and calibration by the last rows."""
     tree = DecisionTreeClassifier(min_samples_leaf=5, random_state=0)
     X, y = subjects(60)
     reg = ConformalRegressor(tree, n_bins=20, random_state=0)
@@ -250,7 +256,7 @@ MODELS = {
 
 @pytest.mark.parametrize("framed", [False, True])
 @pytest.mark.parametrize("name", MODELS)
-def test_a_model_that_has_learnt_from_the_calibration_rows_is_told(name, framed):
+def test_model_fitted_on_calibration_rows_warns(name, framed):
     rng = np.random.default_rng(0)
     X = rng.normal(size=(4000, 4))
     y = X[:, 0] + np.sin(2 * X[:, 1]) + rng.normal(size=4000)

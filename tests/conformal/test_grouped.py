@@ -42,7 +42,7 @@ def test_too_few_groups_give_infinity_however_many_members():
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_members_of_a_category_have_the_guarantee_of_whole_groups(seed):
+def test_category_members_keep_the_group_guarantee(seed):
     """Every group in turn is the new one: its members of a category miss with their share of alpha at most, exactly."""
     rng = np.random.default_rng(seed)
     alpha = Fraction(int(rng.integers(1, 9)), 10)

@@ -15,7 +15,8 @@ def recordings(n, n_frames, rng):
 
 
 @pytest.mark.parametrize("n", [9, 19, 29])
-def test_with_a_fixed_map_a_frame_of_the_next_recording_follows_the_exact_law(n):
+def test_fixed_map_coverage_follows_the_exact_law(n):
+    """Of one frame of the next recording."""
     rng, n_orders = np.random.default_rng(20), 5000
     scores = np.stack([recordings(n + 1, 1, rng)[:, 0] for _ in range(n_orders)])
     held = int((scores[:, n] <= conformal_quantile(scores[:, :n], ALPHA, axis=1)).sum())
@@ -24,7 +25,7 @@ def test_with_a_fixed_map_a_frame_of_the_next_recording_follows_the_exact_law(n)
 
 
 @pytest.mark.parametrize("growth", [0.0, 1.0])
-def test_with_a_growing_map_coverage_is_at_least_what_was_asked_for(growth):
+def test_growing_map_coverage_is_at_least_nominal(growth):
     """30 recordings, 1000 orders; scores shrink as the map grows, or stay."""
     rng, held = np.random.default_rng(21), []
     shrinking = (1 + np.arange(30)) ** (-growth / 2)

@@ -7,7 +7,8 @@ from scipy.stats import kstest
 from conformodal.conformal import ConformodalError, ExchangeabilityMartingale, unit_scores
 
 
-def test_p_values_of_exchangeable_scores_are_uniform_and_independent_with_ties_too():
+def test_p_values_are_uniform_and_independent():
+    """Of exchangeable scores, also where they tie."""
     rng = np.random.default_rng(20)
     for scores in (rng.normal(size=3000), rng.integers(0, 3, 3000).astype(float), np.zeros(3000)):
         p = ExchangeabilityMartingale(scores[:500], seed=1).update(scores[500:]).p_values_
@@ -15,13 +16,14 @@ def test_p_values_of_exchangeable_scores_are_uniform_and_independent_with_ties_t
         assert abs(np.corrcoef(p[1:], p[:-1])[0, 1]) < 0.06
 
 
-def test_a_p_value_counts_larger_scores_and_a_random_part_of_equal_ones():
+def test_p_value_breaks_ties_at_random():
+    """It counts the larger scores and a random part of the equal ones."""
     one = ExchangeabilityMartingale([1.0, 2.0, 2.0, 3.0], seed=3).update([2.0])
     tie = np.random.default_rng(3).random()
     assert one.p_values_[0] == pytest.approx((1 + 3 * tie) / 5)
 
 
-def test_each_new_score_joins_those_that_the_next_is_ranked_among():
+def test_new_scores_join_the_reference_sample():
     parts, whole = ExchangeabilityMartingale(seed=5), ExchangeabilityMartingale(seed=5)
     scores = np.random.default_rng(5).normal(size=40)
     for score in scores:
@@ -62,7 +64,7 @@ def test_larger_scores_raise_an_alarm_that_says_so():
     assert one.values_[one.alarm_] >= 100 > one.values_[: one.alarm_].max()
 
 
-def test_smaller_scores_raise_an_alarm_only_where_both_sides_are_bet_on():
+def test_two_sided_bet_detects_smaller_scores():
     rng = np.random.default_rng(24)
     before, after = rng.normal(size=100), rng.normal(-2, 1, size=60)
     both = ExchangeabilityMartingale(before).update(after)

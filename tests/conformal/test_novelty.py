@@ -55,7 +55,7 @@ def test_left_out_p_values_are_those_of_the_other_groups():
         assert test.left_out_p_values()[i] == pytest.approx((1 + np.sum(shares)) / 7)
 
 
-def test_those_that_are_novel_are_the_same_whichever_sample_joins_them():
+def test_novel_scores_do_not_depend_on_a_known_sample():
     """Of n + 1 exchangeable scores: where the new one is not novel, it does not matter which others are."""
     rng = np.random.default_rng(3)
     level, n = 0.15, 19

@@ -22,7 +22,7 @@ def test_sets_nest_in_alpha_and_ignore_the_order_of_calibration(problem, seed, s
         np.testing.assert_array_equal(a, c)
 
 
-def test_aps_counts_what_is_ranked_before_and_a_random_share_of_its_own():
+def test_aps_adds_a_random_share_of_its_own_bin():
     proba = np.array([[0.5, 0.3, 0.2]])
     plain = Aps(share=1).of_bins(proba, np.ones(3))
     np.testing.assert_allclose(plain, [[0.5, 0.8, 1.0]])
@@ -49,7 +49,7 @@ def test_the_random_shares_are_uniform_and_belong_to_the_row():
     order=st.sampled_from(["probability", "density"]),
     share=st.sampled_from([None, 0.5, 1.0]),
 )
-def test_the_level_set_of_one_row_holds_the_bins_whose_score_is_within_its_limit(seed, peak, limit, order, share):
+def test_level_set_holds_bins_scored_within_the_limit(seed, peak, limit, order, share):
     rng = np.random.default_rng(seed)
     proba, widths = rng.random(200) ** peak, rng.random(200) + 0.1
     proba[rng.random(200) < 0.2] = 0
@@ -76,7 +76,7 @@ def test_single_precision_loses_no_bin_at_the_threshold():
         assert rule.regions_at(proba[[i]], limit).contains(y[[i]])[0, 0]
 
 
-def test_the_regions_of_one_sample_are_those_that_it_has_among_others():
+def test_regions_do_not_depend_on_other_samples():
     rng = np.random.default_rng(3)
     bins = QuantileBins(60).fit(rng.standard_normal((500, 2)))
     proba = [p / p.sum(axis=1, keepdims=True) for p in (rng.random((40, 60)) ** 40 for _ in range(2))]

@@ -49,7 +49,7 @@ def test_thresholds_of_a_source_are_those_of_the_array(tmp_path, joint):
 
 
 @pytest.mark.parametrize("window", [None, 50])
-def test_online_thresholds_after_a_source_are_those_of_all_scores(window):
+def test_online_thresholds_match_after_streamed_scores(window):
     rng = np.random.default_rng(2)
     past, new = rng.random((200, 2)), rng.random((80, 2))
     begun = OnlineConformal(BINS, window=window).begin(chunked(past))

@@ -132,7 +132,7 @@ def test_threads_answer_as_one_does(monkeypatch):
         assert reg.predict_table(pa.Table.from_pandas(numbers)).equals(expected)
 
 
-def test_columns_in_another_order_are_refused_whatever_their_names_are():
+def test_reordered_columns_are_refused_for_any_names():
     X, y = frame()
     numbers = X[["age", "sex"]].assign(age=X.age.fillna(50), sex=X.sex == "f")
     for names in ([0, 1], pd.MultiIndex.from_tuples([("n", "age"), ("n", "sex")])):
@@ -164,7 +164,7 @@ def test_values_beyond_those_learnt_from_are_not_called_few():
         reg.conformalize(X[["age"]].fillna(50), y.where(np.arange(N) >= 50, 1e3))
 
 
-def test_a_frame_with_text_and_gaps_needs_no_preparation_and_keeps_its_names():
+def test_text_and_missing_values_need_no_preparation():
     X, y = frame(120)
     reg = ConformalRegressor(random_state=0).fit(X[:90], y[:90])
     regions = reg.predict_region(X[90:])
@@ -186,7 +186,7 @@ def test_a_classifier_gets_the_rows_of_the_frame_as_they_are():
         reg.predict_region(of_polars(X[["sex", "age", "visit", "hospital"]]))
 
 
-def test_gaps_in_arrays_reach_an_estimator_that_knows_them_and_no_other():
+def test_nan_needs_an_estimator_that_allows_it():
     X, y = frame()
     numbers = X[["age"]].to_numpy()
     boosted = ConformalRegressor(HistGradientBoostingClassifier(max_iter=3), n_bins=4, random_state=0)
@@ -233,7 +233,7 @@ def test_groups_are_covered_each():
 
 
 @pytest.mark.filterwarnings("ignore:regions are unbounded")
-def test_few_rows_are_rarely_unbounded_and_never_without_a_warning():
+def test_few_rows_are_rarely_unbounded_and_warn_if_so():
     unbounded = 0
     for seed in range(40):
         rng = np.random.default_rng(seed)
@@ -257,7 +257,7 @@ def mixed(short_fits):
     return ConformalRegressor(random_state=0).fit(X[:300], y[:300]), X[300:], y[300:]
 
 
-def test_later_dates_are_not_told_and_far_ones_are(mixed):
+def test_only_distant_dates_are_reported(mixed):
     reg, X, _ = mixed
     later, far = (reg.memory_.compare(X.assign(time=X.time + pd.Timedelta(days=days)))[1] for days in (30, -3000))
     assert later == ""
@@ -275,7 +275,7 @@ def test_later_dates_are_not_told_and_far_ones_are(mixed):
         (lambda X: X.assign(time=X.time.dt.tz_localize(None)), "time had a time zone in training"),
     ],
 )
-def test_rows_unlike_those_of_training_are_counted_and_claim_no_more_than_is_known(mixed, new, named):
+def test_rows_unlike_training_warn_and_stay_covered(mixed, new, named):
     reg, X, y = mixed
     with warnings.catch_warnings():
         warnings.simplefilter("error")

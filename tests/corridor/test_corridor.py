@@ -32,10 +32,9 @@ def test_camera_looks_along_its_yaw_with_down_down():
 def test_a_landmark_is_seen_where_the_pinhole_says(renderer):
     # the painting hangs at x 11.1 to 11.9, z 0.9 to 1.9 on the wall y = 0; look at it from the hall
     view = pose(11.5, 1.8, -90)
-    without = Renderer(CorridorWorld(5, seed=0))
     shifted = view.copy()
     shifted[0, 3] -= MODULE_LENGTH  # the same wall, one module on, without the painting
-    changed = np.abs(renderer.render(view).astype(int) - without.render(shifted)).max(axis=2) > 8
+    changed = np.abs(renderer.render(view).astype(int) - renderer.render(shifted)).max(axis=2) > 8
     rows, columns = np.nonzero(changed)
     corners = np.array([[11.1, 0.02, 0.9], [11.9, 0.02, 1.9]])
     cam = (corners - view[:3, 3]) @ view[:3, :3]
@@ -84,7 +83,7 @@ def test_writing_is_reproducible_and_readable(tmp_path, monkeypatch):
     assert a.timestamps_s[1] == pytest.approx(0.1)
 
 
-def test_passes_are_recordings_that_differ_and_a_seed_repeats_them(tmp_path):
+def test_passes_differ_and_are_reproducible(tmp_path):
     for name in ("one", "other"):
         write_passes(tmp_path / name, n_modules=2, n_passes=2, seed=5, speed=8.0)
     passes, again = (read_recording(tmp_path / name) for name in ("one", "other"))

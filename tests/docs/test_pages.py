@@ -25,7 +25,7 @@ def text_of(path):
 
 
 @pytest.mark.parametrize("table", sorted({table for path in PAGES for table in TABLE.findall(text_of(path))}))
-def test_a_table_that_is_cited_is_of_a_clean_revision_in_the_history(table):
+def test_cited_tables_are_of_a_clean_committed_revision(table):
     text = text_of(ROOT / table)
     assert "-dirty" not in text
     revisions = re.findall(r"source ([0-9a-f]{7,40})", text)

@@ -62,7 +62,8 @@ def saved(tmp_path_factory, transformers):
     return folder
 
 
-def test_a_model_s_last_map_of_its_first_stage_at_a_sixteenth_is_taken(saved, transformers):
+def test_default_block_has_a_sixteenth_of_the_size(saved, transformers):
+    """The last map of a model's first stage of that size."""
     backbone = Network(backbone_config(320, 240, f"hf:{saved}"))
     rng = np.random.default_rng(0)
     images = torch.from_numpy(rng.integers(0, 255, (2, 240, 320, 3), dtype=np.uint8))

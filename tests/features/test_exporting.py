@@ -41,12 +41,19 @@ def test_a_network_is_exported_once(backbone, monkeypatch, tmp_path):
     assert export_backbone(backbone.config, cache).fingerprint == made.fingerprint
 
 
-@pytest.mark.parametrize("content", [b"", b"no network", "half"])
-def test_files_that_are_no_network_are_refused(backbone, content):
-    with pytest.raises(VisionError, match="not an ONNX file"):
-        Backbone(backbone.config, backbone.content[: len(backbone.content) // 2] if content == "half" else content)
+# of a sound backbone: the configuration and content that are given instead, and the error
+REFUSED = {
+    "empty": (lambda its: (its.config, b""), "not an ONNX file"),
+    "text": (lambda its: (its.config, b"no network"), "not an ONNX file"),
+    "half a network": (lambda its: (its.config, its.content[: len(its.content) // 2]), "not an ONNX file"),
+    "of other images": (
+        lambda its: (replace(its.config, height=48), its.content),
+        r"the input 'images' \(n, 48, 96, 3\)",
+    ),
+}
 
 
-def test_a_network_for_other_images_is_refused(backbone):
-    with pytest.raises(VisionError, match=r"the input 'images' \(n, 48, 96, 3\)"):
-        Backbone(replace(backbone.config, height=48), backbone.content)
+@pytest.mark.parametrize(("change", "match"), REFUSED.values(), ids=REFUSED)
+def test_unusable_networks_are_refused(backbone, change, match):
+    with pytest.raises(VisionError, match=match):
+        Backbone(*change(backbone))

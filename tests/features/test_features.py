@@ -18,7 +18,7 @@ def images(tmp_path):
     return paths
 
 
-def test_noisy_images_have_other_features_and_their_own_place_in_the_cache(backbone, images, tmp_path):
+def test_noisy_images_have_their_own_cache_entries(backbone, images, tmp_path):
     cache = FeatureCache(tmp_path / "cache")
     clean = extract_features(images, backbone, cache)
     noise = PixelNoise(0.1)
@@ -82,7 +82,8 @@ def test_unreadable_images_are_named(backbone, images, tmp_path):
         extract_features([tmp_path / "absent.png"], backbone, FeatureCache(None))
 
 
-def test_projected_features_are_centred_uncorrelated_and_of_one_scale():
+def test_projected_features_are_centred_and_uncorrelated():
+    """Their mean variance is one."""
     rng = np.random.default_rng(0)
     x = (rng.normal(size=(200, 5)) @ rng.normal(size=(5, 40)) + 3).astype(np.float32)
     x[:, 7] = 2.0  # a dead feature

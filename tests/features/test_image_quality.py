@@ -38,7 +38,7 @@ def test_a_disturbance_moves_its_quality_out_of_range(grey, change, moved, sign)
     assert sign * (found[at] - own[at]) > 0.05 * own[at]
 
 
-def test_the_ends_are_in_range_and_what_was_not_measured_is_not_out_of_it():
+def test_range_includes_its_ends_and_unmeasured_values():
     known = QualityRange.of(np.array([[1.0, 2, 3], [4, 5, 6]]))
     beyond = np.array([4.0, 5, 6.4])
     assert known.is_outside(np.array([known.low, known.high, NOT_MEASURED, beyond])).tolist() == [False] * 3 + [True]

@@ -39,7 +39,7 @@ def test_corners_of_a_shifted_image_are_shifted(detector):
 
 
 @pytest.mark.parametrize("degrees", [-90, 60])
-def test_a_rolled_image_that_is_turned_back_has_the_corners_of_the_upright_one(detector, degrees):
+def test_turning_back_a_rolled_image_recovers_corners(detector, degrees):
     image = load_sample_image("china.jpg")[:400, :600]
     roll = cv2.getRotationMatrix2D((299.5, 199.5), -degrees, 1.0)
     rolled = np.asarray(cv2.warpAffine(image, roll, (600, 400)))
@@ -59,7 +59,7 @@ def test_a_rolled_image_that_is_turned_back_has_the_corners_of_the_upright_one(d
     assert detector.rotation_invariant == (matched(0.0).sum() > 0.5 * back.sum())
 
 
-def test_small_images_are_enlarged_and_corners_stay_where_they_are():
+def test_enlarging_small_images_does_not_shift_corners():
     large = texture(320, 240)
     small = np.asarray(cv2.resize(large, (160, 120), interpolation=cv2.INTER_AREA))
     one, other = extract_local_features(large, camera(320, 240)), extract_local_features(small, camera(160, 120))
@@ -109,7 +109,7 @@ def test_matches_are_those_of_the_definition():
     np.testing.assert_array_equal(beside, alone)
 
 
-def test_directions_match_that_are_nearest_to_each_other_and_alike_enough():
+def test_matches_are_mutual_and_similar_enough():
     rng = np.random.default_rng(2)
     others = rng.standard_normal((50, 64))
     some = others[rng.integers(0, 50, 90)] + rng.uniform(0, 1.5, (90, 1)) * rng.standard_normal((90, 64))

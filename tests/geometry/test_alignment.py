@@ -115,7 +115,8 @@ def straight(across, n=200):
     return truth, Trajectory(t, rolled.apply(positions) + np.arange(3.0), np.tile(q, (n, 1)))
 
 
-def test_a_straight_path_leaves_the_roll_open_and_yaw_does_not_touch_it():
+def test_straight_path_leaves_the_roll_undetermined():
+    """Alignment by yaw does not change it."""
     truth, estimate = straight(0.001)
     assert "nearly straight" in straightness(truth)
     assert straightness(straight(2.0)[0]) == ""

@@ -11,7 +11,7 @@ from conformodal.geometry.triangulation import MIN_PARALLAX_RAD, Rays, triangula
 CAMERA = PinholeCamera(500, 500, 320, 240, 640, 480)
 
 
-def test_tracks_share_no_corner_and_see_each_point_from_several_frames():
+def test_tracks_share_no_corners_and_have_several_views():
     points = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 6], (50, 3))
     rays = rays_to(points, np.array([[0.0, 0, 0], [0.5, 0, 0], [-0.5, 0.2, 0], [0, 0.5, 0.1]]), off=0.05)
     chosen = choose_tracks([inlier_rays(rays, triangulate(rays, 0.005), 0.005)], 4)

@@ -91,7 +91,8 @@ def test_without_pycolmap_a_binary_model_names_the_extra(binary, monkeypatch):
         read_recording(binary)
 
 
-def test_images_that_colmap_has_no_pose_for_are_frames_without_one_and_folders_are_recordings(tmp_path):
+def test_colmap_images_without_pose_are_kept(tmp_path):
+    """Folders of images are recordings."""
     write_colmap(tmp_path)
     lists = tmp_path / "sparse" / "0" / "images.txt"
     for i in range(N):

@@ -115,7 +115,7 @@ UNUSABLE = {
 
 
 @pytest.mark.parametrize("what", UNUSABLE)
-def test_a_place_that_cannot_be_written_is_told_before_the_first_image(tmp_path, what):
+def test_unwritable_output_is_refused_before_any_image(tmp_path, what):
     out, match = UNUSABLE[what]
     fill(tmp_path, {"full/mine": "mine", "file": "mine"})
     before = [contents(tmp_path), sorted(tmp_path.rglob("*"))]

@@ -114,7 +114,7 @@ def test_a_bad_pose_costs_its_frame(tmp_path, value, layout):
     expect(folder, layout, before, 2, before.image_paths[2].name)
 
 
-def test_what_is_not_a_pose_is_told_by_its_row():
+def test_invalid_poses_are_reported_by_row():
     poses = matrices()
     poses[0, :3, :3] *= 1.1
     poses[1, :3, 0] *= -1
@@ -259,7 +259,7 @@ def test_a_damaged_data_set_is_refused_by_its_file(tmp_path, layout, change, mat
     assert "\n" not in str(caught.value)
 
 
-def test_images_without_a_camera_are_told_what_they_lack(tmp_path):
+def test_images_without_camera_error_names_what_is_missing(tmp_path):
     picture(tmp_path / "photos" / "a.png", 1)
     for folder in (tmp_path / "photos", tmp_path):
         with pytest.raises(DatasetError, match=r"images: images and camera-intrinsics\.txt or poses"):
@@ -271,12 +271,12 @@ def test_images_without_a_camera_are_told_what_they_lack(tmp_path):
 
 # what: (fx, fy, cx, cy, lens), in images of 64x48
 NOT_CAMERAS = {
-    "fx is NaN": (NAN, 40, 32, 24, ()),
-    "fx is negative": (-40, 40, 32, 24, ()),
-    "cy is infinite": (40, 40, 32, INF, ()),
-    "fx sees 179 degrees": (0.5, 40, 32, 24, ()),
-    "k1 is 1e9": (40, 40, 32, 24, (1e9, 0, 0, 0)),
-    "k2 is NaN": (40, 40, 32, 24, (0, NAN, 0, 0)),
+    "fx is NaN": ((NAN, 40, 32, 24, ()), "fx = nan, expected positive and finite"),
+    "fx is negative": ((-40, 40, 32, 24, ()), "fx = -40.0, expected positive and finite"),
+    "cy is infinite": ((40, 40, 32, INF, ()), "cy = inf, expected finite pixels"),
+    "fx sees 179 degrees": ((0.5, 40, 32, 24, ()), "field of view of 178 degrees"),
+    "k1 is 1e9": ((40, 40, 32, 24, (1e9, 0, 0, 0)), "moves the image's corner by 1e.09"),
+    "k2 is NaN": ((40, 40, 32, 24, (0, NAN, 0, 0)), "all finite; got .0, nan, 0, 0"),
 }
 UNLIKELY = {
     "principal point right of the image": ((40, 40, 640, 24, ()), "principal point .* far from"),
@@ -299,13 +299,14 @@ OF_OTHER_IMAGES = {
 
 @pytest.mark.parametrize("what", NOT_CAMERAS)
 def test_what_is_not_a_camera_is_refused_by_its_file(what):
-    *pixels, lens = NOT_CAMERAS[what]
-    with pytest.raises(DatasetError, match=r"^a file: "):
+    (*pixels, lens), match = NOT_CAMERAS[what]
+    with pytest.raises(DatasetError, match=f"^a file: .*{match}"):
         camera_of("a file", pixels, SIZE, lens, notes=[])
 
 
 @pytest.mark.parametrize("what", UNLIKELY)
-def test_an_unlikely_camera_is_told_and_read_and_a_usual_one_is_not(what):
+def test_unlikely_camera_is_read_and_reported(what):
+    """A usual camera gives no note."""
     (*pixels, lens), match = UNLIKELY[what]
     notes = []
     camera = camera_of("a file", pixels, SIZE, lens, notes=notes)
@@ -316,7 +317,8 @@ def test_an_unlikely_camera_is_told_and_read_and_a_usual_one_is_not(what):
 
 
 @pytest.mark.parametrize("what", OF_OTHER_IMAGES)
-def test_a_camera_of_other_images_is_told_before_its_view_and_lens(what):
+def test_camera_of_other_images_is_refused_as_such(what):
+    """Not for its field of view or its lens, which would be refused as well."""
     (*pixels, lens), match = OF_OTHER_IMAGES[what]
     with pytest.raises(DatasetError, match=match) as caught:
         camera_of("a file", pixels, SIZE, lens, notes=[])
@@ -447,7 +449,7 @@ BY_TIME = ("rgb.txt", "groundtruth.txt", "data.csv", "poses.tum")
 
 
 @pytest.mark.parametrize("layout", FILES)
-def test_damage_to_any_file_is_told_and_no_frame_gets_another_pose(tmp_path, layout):
+def test_damaged_files_are_reported_and_shift_no_pose(tmp_path, layout):
     folder = WRITERS[layout](tmp_path)
     whole = read_recording(folder, layout)
     poses = dict(zip((path.name for path in whole.image_paths), whole.truth.poses_se3, strict=True))
@@ -499,7 +501,7 @@ NAMED = {
 
 @pytest.mark.parametrize("layout", NAMED)
 @pytest.mark.parametrize("how", ["link", "absolute", "dots"])
-def test_links_are_followed_and_names_that_lead_outside_are_refused(tmp_path, layout, how):
+def test_links_are_followed_and_outside_names_refused(tmp_path, layout, how):
     root = tmp_path / "set"
     root.mkdir()
     folder = WRITERS[layout](root)

@@ -71,7 +71,8 @@ NAMED = {"tum/fr1_desk": AXES[::2], "icl_living_room": AXES[1::2], "tum/fr1_rpy"
 
 
 @pytest.mark.parametrize("data", NAMED)
-def test_each_of_the_48_axes_is_named_and_its_conversion_restores_the_poses(real_data, data):
+def test_all_48_axis_conventions_are_recovered(real_data, data):
+    """Each is named, and its conversion restores the poses."""
     recording = read_recording(real_data(*data.split("/")))
     for columns in NAMED[data]:
         name = axes.name_axes(columns)
@@ -83,7 +84,8 @@ def test_each_of_the_48_axes_is_named_and_its_conversion_restores_the_poses(real
         np.testing.assert_allclose(restored, recording.require_truth().poses_se3, atol=1e-9)
 
 
-def test_axes_that_fit_alike_on_a_straight_road_are_named_and_which_one_is_chosen(real_data):
+def test_ambiguous_axes_report_names_the_choice(real_data):
+    """On a straight road several fit alike."""
     recording = read_recording(real_data("kitti", "sequences", "06"))
     of_ros = changed(recording, partial(bodies, columns=axes.parse_axes("flu")))
     told = diagnose_poses(of_ros).what
@@ -152,7 +154,7 @@ def test_positions_of_another_world_than_orientations_are_named(real_data, world
 
 
 @pytest.mark.parametrize("data", ["7scenes/redkitchen/seq-01", "tum/fr1_xyz"])
-def test_the_convention_of_given_poses_is_told(real_data, data):
+def test_pose_convention_is_named(real_data, data):
     recording = read_recording(real_data(*data.split("/")))
     inverse = np.linalg.inv
     made = {
@@ -193,14 +195,14 @@ def late_by(recording, shift_s):
 
 @pytest.mark.parametrize("data", ["7scenes/redkitchen", "tum/fr1_desk"])
 @pytest.mark.parametrize("shift_s", [0.1, -1.0])
-def test_poses_of_another_clock_are_told_with_the_shift(real_data, data, shift_s):
+def test_clock_offset_is_reported(real_data, data, shift_s):
     cause = str(diagnose_poses(late_by(read_recording(real_data(*data.split("/"))), shift_s)))
     told, side = re.search(r"seem to be ([\d.]+) s .* too (late|early)", cause).groups()
     assert float(told) == pytest.approx(abs(shift_s), abs=0.03)
     assert side == ("late" if shift_s > 0 else "early")
 
 
-def test_poses_that_are_shifted_by_lines_are_told(real_data):
+def test_pose_rows_shifted_by_lines_are_reported(real_data):
     recording = read_recording(real_data("7scenes", "redkitchen"))
     truth = recording.require_truth()
     rolled = Trajectory(
@@ -211,7 +213,7 @@ def test_poses_that_are_shifted_by_lines_are_told(real_data):
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.6])
-def test_another_focal_length_is_told(real_data, factor):
+def test_wrong_focal_length_is_reported(real_data, factor):
     recording = read_recording(real_data("tum", "fr1_desk"))
     camera = recording.camera
     cause = str(
@@ -221,7 +223,7 @@ def test_another_focal_length_is_told(real_data, factor):
     assert 0.9 * camera.fx < low < camera.fx < high < 1.1 * camera.fx
 
 
-def test_poses_of_other_images_are_told_without_blame(real_data):
+def test_poses_of_other_images_are_reported(real_data):
     recording = read_recording(real_data("tum", "fr1_desk"))
     truth = recording.require_truth()
     backwards = Trajectory(truth.timestamps_s, truth.positions_xyz[::-1], truth.orientations_quat_wxyz[::-1])

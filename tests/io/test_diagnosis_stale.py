@@ -72,7 +72,7 @@ HELD = held((10, 19), (40, 45))
 
 
 @pytest.mark.parametrize("layout", [Layout.TUM, Layout.SEVENSCENES])
-def test_poses_that_are_held_while_images_move_are_named_and_left_out(tmp_path, layout):
+def test_stale_poses_are_named_and_left_out(tmp_path, layout):
     folder = write(tmp_path / "a", MOVING, HELD, layout)
     whole = read_recording(folder, require_poses=False)
     assert set(told(whole)) == {STALE_POSES}
@@ -89,7 +89,7 @@ def test_poses_that_are_held_while_images_move_are_named_and_left_out(tmp_path, 
     assert f"1 x {STALE_POSES}" in result.output
 
 
-def test_rows_of_a_fast_tracker_that_are_held_are_no_poses_of_the_frames_between(tmp_path):
+def test_stale_rows_of_a_fast_tracker_give_no_poses(tmp_path):
     folder = write(tmp_path / "a", MOVING, HELD, per_frame=4)
     recording = read_recording(folder, require_poses=False)
     assert set(told(recording)) == {STALE_POSES}
@@ -130,7 +130,7 @@ def test_a_camera_that_rests_and_single_repeats_are_sound(tmp_path, pictures, po
 
 @pytest.mark.parametrize("suffix", ["png", "bmp", "jpg"])
 @pytest.mark.parametrize("layout", [Layout.TUM, Layout.SEVENSCENES])
-def test_pictures_that_are_held_while_poses_move_are_named_and_left_out(tmp_path, suffix, layout):
+def test_stale_pictures_are_named_and_left_out(tmp_path, suffix, layout):
     if layout is Layout.SEVENSCENES and suffix == "bmp":
         pytest.skip("is not of this layout")
     folder = write(tmp_path / "a", HELD, MOVING, layout, suffix)
@@ -143,7 +143,7 @@ def test_pictures_that_are_held_while_poses_move_are_named_and_left_out(tmp_path
 
 
 @pytest.mark.parametrize(("lost", "found"), [((10, 19), 14), ((*range(10, 19), 40, 41, 42, 43, 44), 0)])
-def test_pictures_that_are_held_are_found_where_poses_are_missing(tmp_path, lost, found):
+def test_stale_pictures_are_found_without_some_poses(tmp_path, lost, found):
     folder = write(tmp_path / "a", HELD, MOVING, Layout.SEVENSCENES)
     for i in lost:
         (folder / f"frame-{i:06d}.pose.txt").unlink()

@@ -1,4 +1,4 @@
-"""Doubts about a truth, told from an estimate that has noise and some wrong places."""
+"""Errors of a ground truth, found from an estimate that has noise and some wrong places."""
 
 from dataclasses import replace
 
@@ -78,7 +78,7 @@ def test_a_camera_that_does_not_turn_has_constant_orientations(estimate, truth):
         ),
     ],
 )
-def test_the_cause_of_a_wrong_truth_is_told(estimate, truth, changed, told):
+def test_ground_truth_error_names_its_cause(estimate, truth, changed, told):
     doubts = doubt_truth(estimate, changed(truth))
     assert any(told in reason for reason in doubts.reasons)
     assert not doubts.positions_only
@@ -90,7 +90,8 @@ def test_the_axes_of_another_body_are_named(estimate, truth, name):
     assert f"as of {describe_axes(parse_axes(name))}" in doubt_truth(estimate, turned(truth, right=body)).reasons[0]
 
 
-def test_poses_of_a_truth_that_repeat_while_the_estimate_moves_are_told(estimate, truth):
+def test_stale_ground_truth_poses_are_reported(estimate, truth):
+    """They repeat while the estimate moves."""
     rows = np.arange(N)
     rows[100:120], rows[300:303], rows[400:402] = 100, 300, 400
     held = replace(
@@ -105,13 +106,14 @@ def test_poses_of_a_truth_that_repeat_while_the_estimate_moves_are_told(estimate
 
 
 @pytest.mark.parametrize("shift_s", [18.0, -1.0, 37.3])
-def test_a_clock_that_is_ahead_is_told_with_the_shift(estimate, truth, shift_s):
+def test_clock_offset_is_reported(estimate, truth, shift_s):
     told = describe_time_offset(estimate, replace(truth, timestamps_s=truth.timestamps_s + shift_s))
     assert f"{abs(shift_s):.3g} s {'ahead' if shift_s > 0 else 'behind'}" in told
     assert f"--time-offset {-shift_s:.3g}" in told
 
 
-def test_a_turned_world_is_told_where_nearly_all_turns_are_level(truth):
+def test_turned_world_is_reported_for_level_turns(truth):
+    """Nearly all turns are about the vertical axis."""
     sway = Rotation.from_rotvec(np.random.default_rng(2).normal(scale=0.05, size=(N, 3)))
     turns = Rotation.from_rotvec(np.linspace(0, 7, N)[:, None] * [0, 0, 1]) * sway
     estimate = replace(truth, orientations_quat_wxyz=turns.as_quat(scalar_first=True))

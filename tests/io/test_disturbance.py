@@ -10,7 +10,7 @@ IMAGE = np.random.default_rng(0).integers(60, 190, (48, 64, 3), dtype=np.uint8)
 SMOOTH = np.tile(np.linspace(60, 190, 64).astype(np.uint8)[None, :, None], (48, 1, 3))
 
 
-def test_an_image_is_disturbed_alike_each_time_and_others_otherwise():
+def test_disturbance_depends_on_seed_and_name_only():
     own = [Disturbance(seed).apply(IMAGE, name) for seed, name in ((1, "a"), (1, "a"), (2, "a"), (1, "b"))]
     np.testing.assert_array_equal(own[0], own[1])
     assert all((own[0] != other).any() for other in own[2:])
@@ -50,7 +50,7 @@ def test_noise_has_the_size_asked_for_and_is_the_same_every_time():
         assert abs(np.corrcoef(noisy.ravel(), other.ravel())[0, 1]) < 0.02
 
 
-def test_noise_is_cut_off_at_black_and_white_and_none_changes_nothing():
+def test_noise_is_clipped_and_zero_noise_is_identity():
     black = np.zeros((50, 50, 3), np.uint8)
     noisy = PixelNoise(0.2).apply(black, "a")
     assert np.median(noisy) == 0

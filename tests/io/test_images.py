@@ -121,7 +121,7 @@ UPRIGHT = {
 
 @pytest.mark.parametrize("orientation", UPRIGHT)
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".jpg"])
-def test_images_are_turned_as_their_exif_says_and_it_is_told(tmp_path, orientation, suffix):
+def test_exif_orientation_is_applied_and_reported(tmp_path, orientation, suffix):
     content = (
         saved(Image.fromarray(COLOURS), ".tif", tiffinfo={0x0112: orientation})
         if suffix == ".tif"
@@ -144,7 +144,8 @@ def test_images_are_turned_as_their_exif_says_and_it_is_told(tmp_path, orientati
 
 @pytest.mark.parametrize("suffix", ["png", "tiff", "ppm"])
 @pytest.mark.parametrize("white", [1023, 65535])
-def test_images_of_16_bits_become_8_and_those_that_use_few_are_refused(tmp_path, suffix, white):
+def test_16_bit_images_are_scaled_or_refused(tmp_path, suffix, white):
+    """Those that use few of the 16 bits are refused."""
     rgb = np.empty((6, 8, 3), np.uint16)
     rgb[...] = np.array([1.0, 0.5, 0.25]) * white
     for name, image in (("a", rgb[..., ::-1]), ("b", rgb[..., 0]))[: 1 if suffix == "ppm" else 2]:

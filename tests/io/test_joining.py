@@ -22,7 +22,8 @@ def part(sequence, first, last, **changes):
     return replace(own, **changes)
 
 
-def test_recordings_of_several_data_sets_are_numbered_on_and_keep_their_poses(sequence):
+def test_joined_recordings_are_renumbered_in_order(sequence):
+    """They keep their poses."""
     late, early = part(sequence, 20, 40), part(sequence, 0, 20)
     assert join_recordings([late]) is late
     whole = join_recordings([late, early, part(sequence, 50, 60)])
@@ -64,7 +65,8 @@ def test_a_frame_in_two_data_sets_and_two_units_are_refused(sequence):
     assert len(join_recordings([part(sequence, 0, 5), part(sequence, 5, 8, unit="units", poses=None)])) == 8
 
 
-def test_streams_of_data_sets_run_one_after_the_other_and_others_alone(sequence, tmp_path):
+def test_data_set_streams_are_joined_in_order(sequence, tmp_path):
+    """Other sources are refused."""
     one, other = (RecordingStream(part(sequence, *rows)) for rows in ((10, 14), (0, 3)))
     frames = list(join_streams([one, other]))
     assert [frame.recording for frame in frames] == [0, 0, 0, 0, 1, 1, 1]

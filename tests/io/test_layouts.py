@@ -194,7 +194,7 @@ def test_sequences_without_poses_are_read_if_asked(tmp_path, layout):
         sequence.require_truth()
 
 
-def test_images_without_a_pose_in_time_are_left_out_of_training_only(tmp_path):
+def test_images_without_pose_are_left_out_of_training(tmp_path):
     folder = write_tum(tmp_path)
     path = folder / "groundtruth.txt"
     lines = path.read_text().splitlines()

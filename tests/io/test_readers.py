@@ -70,7 +70,7 @@ def test_a_package_adds_a_layout_by_an_entry_point(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e9, "nanoseconds"), (1e6, "microseconds"), (1e3, "milliseconds")])
-def test_times_since_1970_in_another_unit_are_converted_and_told(tmp_path, factor, unit):
+def test_epoch_time_units_are_converted_and_reported(tmp_path, factor, unit):
     times = STAMPS + 1.6e9
     folder = tum(tmp_path, np.column_stack((times * factor, path_at(STAMPS)[:, 1:])))
     lines = [f"{t * factor:.6f} rgb/{i}.png" for i, t in enumerate(times)]
@@ -105,7 +105,8 @@ def test_a_gap_that_is_too_long_is_refused(tmp_path):
         (["f001", "f002", "f003", "f005", "f006"], False),
     ],
 )
-def test_times_of_images_are_their_names_or_even_and_gaps_are_told(tmp_path, names, even):
+def test_image_times_come_from_names_or_the_frame_rate(tmp_path, names, even):
+    """Gaps in the numbers are reported."""
     for i, name in enumerate(names):
         picture(tmp_path / f"{name}.png", i)
     (tmp_path / "camera-intrinsics.txt").write_text("40 40 32 24")
@@ -133,7 +134,7 @@ ORDERED = np.column_stack((STAMPS, PLACES, QUATS))  # w first
         ("timestamp,p_x,p_y,p_z,q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []", ", ", ORDERED),
     ],
 )
-def test_poses_with_other_separators_and_a_head_that_names_the_order(tmp_path, head, separator, rows):
+def test_pose_header_gives_order_with_any_separator(tmp_path, head, separator, rows):
     folder = WRITERS[Layout.TUM](tmp_path)
     lines = [separator.join(f"{v:.9f}" for v in row) for row in rows.tolist()]
     (folder / "groundtruth.txt").write_text("\ufeff" + "\r\n".join([head, *lines]))
@@ -188,14 +189,14 @@ def test_columns_are_found_by_their_names(tmp_path, what):
         ("# timestamp x y z roll pitch yaw a b", "9 columns, where it has '# timestamp x y z roll pitch yaw a b'"),
     ],
 )
-def test_a_column_too_much_is_told_with_what_to_do(tmp_path, head, match):
+def test_extra_column_error_names_the_remedy(tmp_path, head, match):
     rows = np.column_stack((ORDERED, np.ones(N)))
     with pytest.raises(DatasetError, match=match):
         read_recording(tum(tmp_path, rows, head))
 
 
 @pytest.mark.parametrize("separator", [" ", ";", "; ", "\t"])
-def test_commas_that_are_decimal_marks_are_read_and_told(tmp_path, separator):
+def test_decimal_commas_are_read_and_reported(tmp_path, separator):
     folder = WRITERS[Layout.TUM](tmp_path)
     rows = ORDERED[:, [0, 1, 2, 3, 5, 6, 7, 4]].tolist()
     lines = [separator.join(f"{v:.9f}" for v in row).replace(".", ",") for row in rows]
@@ -214,7 +215,7 @@ def test_covariances_behind_poses_are_passed_over(tmp_path, n_further):
 
 
 @pytest.mark.parametrize("head", ["", "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x []\n"])
-def test_the_truth_of_euroc_is_read_as_a_trajectory_and_told_to_be_the_body_s(tmp_path, head):
+def test_euroc_ground_truth_warns_of_body_poses(tmp_path, head):
     stamps = 1403636579763555584 + 50_000_000 * np.arange(N)
     lines = [f"{t},{','.join(map(str, row[1:]))}{',0.0' * 9}" for t, row in zip(stamps, ORDERED, strict=True)]
     (tmp_path / "data.csv").write_text(head + "\n".join(lines))
@@ -224,7 +225,7 @@ def test_the_truth_of_euroc_is_read_as_a_trajectory_and_told_to_be_the_body_s(tm
     np.testing.assert_allclose(truth.timestamps_s, stamps / 1e9, rtol=0, atol=1e-6)
 
 
-def test_positions_in_millimetres_are_told(tmp_path):
+def test_positions_in_millimetres_are_reported(tmp_path):
     rows = path_at(STAMPS) * np.repeat([1, 1000, 1], [1, 3, 4])
     assert "moves at 5e+03 m/s" in dict(read_recording(tum(tmp_path, rows)).notes)["speed is unlikely"]
 
@@ -311,7 +312,7 @@ def test_frames_of_nerf_as_its_programs_write_them(tmp_path, how):
 
 
 @pytest.mark.parametrize("layout", [Layout.COLMAP, Layout.NERF])
-def test_models_have_units_of_their_own_unless_their_scale_is_given(tmp_path, layout):
+def test_model_units_are_arbitrary_without_a_scale(tmp_path, layout):
     folder = WRITERS[layout](tmp_path)
     path = folder / "metres-per-unit.txt"
     path.write_text("2.5\n")

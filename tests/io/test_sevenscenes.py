@@ -27,7 +27,7 @@ def test_scene_of_several_recordings_is_kept_apart(tmp_path):
     assert (np.diff(sequence.timestamps_s) > 0).all()
 
 
-def test_a_camera_that_nothing_gives_is_told(tmp_path):
+def test_default_camera_is_reported(tmp_path):
     folder = write_recording(tmp_path / "seq-01", size=(640, 480))
     (folder / "camera-intrinsics.txt").unlink()
     sequence = read_recording(folder)
@@ -67,6 +67,7 @@ def test_lists_of_a_scene_say_which_frames_test(tmp_path, train, test, expected)
         ("sequence1\nsequence2\nsequence3\n", "", r"TestSplit\.txt: holds no line"),
     ],
 )
-def test_lists_that_do_not_name_every_recording_once_are_told_by_file_and_line(tmp_path, train, test, match):
+def test_inconsistent_split_lists_are_refused(tmp_path, train, test, match):
+    """They must name every recording once; the error names the file, and the line if one is wrong."""
     with pytest.raises(DatasetError, match=match):
         read_recording(write_scene(tmp_path, train, test))

@@ -82,7 +82,8 @@ def test_every_part_gets_a_recording(n, shares, expected):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_given_split_tests_on_the_list_and_calibrates_on_other_recordings(seed):
+def test_given_split_tests_on_the_listed_recordings(seed):
+    """It calibrates on other recordings."""
     given_test = np.isin(SEVEN, [1, 5])
     split = make_split(SEVEN, "given", seed=seed, given_test=given_test)
     assert split.test.tolist() == np.flatnonzero(given_test).tolist()
@@ -93,7 +94,7 @@ def test_a_given_split_tests_on_the_list_and_calibrates_on_other_recordings(seed
 
 
 @pytest.mark.parametrize("kind", ["blocks", "recordings", "given"])
-def test_calibration_frames_drawn_at_random_come_from_every_training_recording(kind):
+def test_random_calibration_draws_from_every_recording(kind):
     from conformodal.io import with_random_calibration
 
     recording = np.repeat(np.arange(3), 200)

@@ -135,7 +135,7 @@ def test_signs_of_quaternions_are_those_of_the_reference(sign):
         assert edges[best] <= q <= edges[best + 1]
 
 
-def test_a_place_is_recognised_by_an_estimate_that_is_probably_right():
+def test_probable_estimate_recognises_a_place():
     unsure, sure = (estimate([0, 0, 0], probability=RECOGNISED - 0.01), estimate([1, 0, 0], probability=RECOGNISED))
     given = [[], [unsure], [unsure, sure], [sure]]
     assert Beliefs([], [mixture()] * 4, given).recognised.tolist() == [False, False, True, True]

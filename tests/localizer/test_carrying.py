@@ -76,7 +76,8 @@ class Camera:
         return look
 
 
-def test_corners_are_followed_between_detections_whose_matches_come_one_frame_later():
+def test_corners_are_tracked_between_detections():
+    """Matches come one frame after their detection."""
     source = Wall()
     camera = Camera(source, settings=CarrySettings(detect_every_s=4.5 * STEP_S))
     matched = []
@@ -107,7 +108,8 @@ def test_corners_that_were_followed_beside_others_are_taken():
     np.testing.assert_allclose(look.features.pixels, expected + 0.25, atol=1e-5)
 
 
-def test_each_frame_does_a_part_of_the_work_and_the_one_after_the_last_matches():
+def test_detection_work_is_spread_over_frames():
+    """The frame after the last part matches."""
     source = Wall()
     camera = Camera(source, n_parts=3, settings=CarrySettings(detect_every_s=4.5 * STEP_S))
     for k in range(9):
@@ -131,7 +133,7 @@ def test_where_frames_are_further_apart_the_work_is_done_sooner(step_s, matched)
 
 
 @pytest.mark.parametrize(("kept", "detected", "carried"), [(0.9, [0], True), (0.6, [0, 2], True), (0.3, [0, 2], False)])
-def test_where_corners_are_lost_others_are_detected_before_it_is_time(monkeypatch, kept, detected, carried):
+def test_lost_corners_trigger_early_detection(monkeypatch, kept, detected, carried):
     camera, follow = Camera(Wall(), n_parts=3), carrying.follow_corners
     camera.look(0)
     camera.look(1)
@@ -147,7 +149,8 @@ def test_where_corners_are_lost_others_are_detected_before_it_is_time(monkeypatc
     assert sum(isinstance(part, tuple) and part[0] == 2 for part in camera.parts) == n_parts
 
 
-def test_where_the_detected_corners_are_lost_those_of_the_frame_before_are_followed(monkeypatch):
+def test_lost_detections_fall_back_to_tracked_corners(monkeypatch):
+    """Where the detected corners are lost, those of the frame before are followed."""
     source, follow = Wall(), carrying.follow_corners
     camera = Camera(source, n_parts=3, settings=CarrySettings(detect_every_s=4.5 * STEP_S))
     for k in range(8):
@@ -164,7 +167,7 @@ def test_where_the_detected_corners_are_lost_those_of_the_frame_before_are_follo
     assert camera.detected == [0, 5]
 
 
-def test_at_most_so_many_corners_are_followed_from_all_parts_of_the_image():
+def test_tracked_corners_are_limited_and_spread_out():
     source = Wall()
     camera = Camera(source, settings=CarrySettings(max_corners=40))
     camera.look(0)
@@ -185,7 +188,7 @@ def test_corners_are_detected_where_they_cannot_be_followed(cause):
     assert camera.detected == [0, 2]
 
 
-def test_corners_are_not_followed_from_a_frame_without_a_recognised_place_or_with_two():
+def test_tracking_needs_exactly_one_recognised_place():
     source = Wall()
     camera = Camera(source)
     source.recognised = False
@@ -198,7 +201,8 @@ def test_corners_are_not_followed_from_a_frame_without_a_recognised_place_or_wit
     assert [camera.look(k).carried for k in range(3)] == [False] * 3
 
 
-def test_where_the_detected_features_recognise_nothing_one_frame_later_they_are_detected_again():
+def test_unmatched_detections_are_repeated():
+    """Where the detected features recognise nothing one frame later, that frame detects again."""
     source = Wall()
     camera = Camera(source, settings=CarrySettings(detect_every_s=1.5 * STEP_S))
     assert camera.look(0).estimates
@@ -208,7 +212,8 @@ def test_where_the_detected_features_recognise_nothing_one_frame_later_they_are_
 
 
 @pytest.mark.parametrize(("source", "options"), [(Wall(), {"follows": False}), (None, {})])
-def test_without_a_stream_or_a_source_that_carries_each_frame_is_looked_at_by_itself(source, options):
+def test_frames_are_independent_without_tracking(source, options):
+    """Without a stream, or without a source that follows corners."""
     camera = Camera(source, **options)
     looks = [camera.look(k) for k in range(3)]
     assert [look.estimates for look in looks] == [None] * 3  # the localizer asks its sources

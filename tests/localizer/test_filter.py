@@ -32,7 +32,8 @@ def same(one, other):
     assert one.elsewhere == other.elsewhere
 
 
-def test_one_hypothesis_moves_as_in_a_kalman_filter_and_is_as_sharp_as_the_sharper_of_the_two():
+def test_single_hypothesis_follows_a_kalman_update():
+    """It is only as sharp as the sharper of prediction and measurement."""
     before, seen = hypotheses([0.0], [1.0], spread=0.3), hypotheses([0.1], [1.0], spread=0.2)
     ahead = replace(predict(Posterior(before, 0.0), None, 0.2, PRIOR), elsewhere=1e-300)
     found = update(ahead, seen, PRIOR, wrong=1e-300, tempering=1.0).hypotheses
@@ -185,7 +186,7 @@ def half_turned(seed=0):
 
 
 @pytest.mark.parametrize("reasoner", [filter_posteriors, hindsight_posteriors])
-def test_a_relative_rotation_chooses_between_places_that_look_alike_after_a_half_turn(reasoner):
+def test_relative_rotation_resolves_half_turn_ambiguity(reasoner):
     positions, seen = half_turned()
     quick = replace(PRIOR, turn_rate_rad_s=np.pi / 2, top_speed_mps=(3.0, 3.0), volume_m3=100.0)
     found = choose_places(reasoner(seen, quick), seen.timestamps_s, quick).positions_xyz
@@ -195,7 +196,7 @@ def test_a_relative_rotation_chooses_between_places_that_look_alike_after_a_half
     assert (found[1:, 0] < 0).all()  # the likelier side, not the right one
 
 
-def test_a_stream_with_a_long_lag_ends_with_the_posteriors_of_the_whole_recording():
+def test_long_lag_gives_whole_recording_posteriors():
     t, positions, rotations = path(30)
     motions = exact_motions(positions, rotations)
     motions[12] = None

@@ -46,7 +46,7 @@ def test_an_image_without_estimates_keeps_its_modes(answers):
 
 @pytest.mark.parametrize("probability", [0.02, 0.3, 0.9, 0.99])
 @pytest.mark.parametrize("position", [[0.1, 0, 0], [4, 0, 0]])
-def test_an_estimate_takes_its_probability_from_the_modes_wherever_it_is(position, probability):
+def test_estimate_takes_probability_from_all_modes(position, probability):
     """Probabilities are added: that a mode is near makes neither more probable."""
     found = fuse(modes([[0, 0, 0], [3, 0, 0]], mass=[0.3, 0.7]), [[estimate(position, probability=probability)]])
     expected = [(0.3 * (1 - probability), 0.0), (0.7 * (1 - probability), 3.0), (probability, position[0])]
@@ -73,7 +73,8 @@ def test_of_one_sources_estimates_at_most_one_is_right():
     np.testing.assert_array_equal(together.position_spreads[together.measured], 0.05)
 
 
-def test_estimates_of_two_sources_that_agree_are_refined_and_no_more_probable():
+def test_agreeing_sources_sharpen_the_estimate():
+    """They make it no more probable."""
     first, second = estimate([0, 0, 0], 0.2, 0.0, 0.2, 0.9), estimate([0.1, 0, 0], 0.1, 0.1, 0.1, 0.8)
     found = fuse(modes([[3, 0, 0]]), [[first], [second]])
     best = found

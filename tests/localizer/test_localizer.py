@@ -75,7 +75,7 @@ def test_a_source_that_the_frames_do_not_allow_is_left_out(data_of):
         Localizer.fit_each(data, [frames], ("unable",))[0]
 
 
-def test_without_a_softmax_the_training_frames_own_distribution_stands_in(bins):
+def test_missing_softmax_falls_back_to_training_prior(bins):
     """Bins of equal mass: each is as probable as any other."""
     source = told(measurements=[[], [estimate(3.0)]])
     found = Localizer((source,), bins, SIGN).beliefs(images(2))
@@ -95,7 +95,8 @@ def test_one_softmax_is_taken_as_it_is_and_of_several_the_mean(bins):
         np.testing.assert_allclose(p, (q + r) / 2, rtol=1e-15)
 
 
-def test_only_sources_that_look_at_local_features_recognise_places_and_others_are_not_asked_there(bins):
+def test_only_local_features_recognise_places(bins):
+    """Other sources are not asked where a place is recognised."""
     everywhere = told(measurements=[[estimate(2.0, 0.99)]], proba=softmax(bins, 1))
     local = told(Local, measurements=[[], [estimate(4.0, 0.95), estimate(5.0, 0.2)]])
     found = Localizer((everywhere, local), bins, SIGN).beliefs(images(2))
@@ -107,7 +108,8 @@ def test_only_sources_that_look_at_local_features_recognise_places_and_others_ar
 
 
 @pytest.mark.parametrize(("sigma_m", "asked"), [(0.12, False), (0.14, True)])
-def test_another_source_is_asked_beside_a_recognised_place_if_it_may_be_two_thirds_as_precise(bins, sigma_m, asked):
+def test_precise_source_is_asked_at_recognised_places(bins, sigma_m, asked):
+    """If it may be two thirds as precise as the estimate there."""
     recognised = replace(estimate(4.0, 0.95), sigma_m=sigma_m)
     other = replace(estimate(4.1, 0.8), sigma_m=0.2)
     sources = told(Precise, measurements=[[other]]), told(Local, measurements=[[recognised]])

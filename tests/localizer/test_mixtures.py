@@ -38,7 +38,7 @@ def test_a_pool_holds_all_hypotheses_by_the_ratio_of_the_shares():
     assert found.measured.tolist() == [True, True, False]
 
 
-def test_hypotheses_of_a_posterior_stand_for_themselves_from_the_first_frame_on():
+def test_posterior_hypotheses_count_as_measured():
     """Regions from the frames so far take them as densities; of an image, modes of the softmax are taken as bins."""
     image = mixture(3, 1, measured=False)
     first = start(image, known=True)

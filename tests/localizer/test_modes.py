@@ -45,7 +45,8 @@ def test_candidates_are_bounded_and_keep_the_most_probable(monkeypatch):
     assert len(few.positions_xyz) == 1  # never none
 
 
-def test_intervals_stand_for_their_own_means_and_an_empty_set_for_its_best_bin():
+def test_empty_set_is_represented_by_its_best_bin():
+    """Intervals are represented by their own means."""
     proba = [bumps((4.5, 0.6), (15.5, 0.4)), bumps((10.0, 1)), bumps((5.5, 1)), *identity_quat()]
     bins = pose_bins()
     masks = [np.ones((1, K), bool) for _ in range(7)]

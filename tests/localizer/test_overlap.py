@@ -31,7 +31,7 @@ def test_a_rigid_offset_that_most_images_agree_on_is_measured(outliers):
 
 @pytest.mark.parametrize("depth_m", [0.3, 2.0, 15.0])
 @pytest.mark.parametrize(("depths", "scatter", "differs"), [(0.04, 0, False), (0.06, 0.04, True), (0.06, 0.08, False)])
-def test_an_offset_counts_beside_the_depth_of_the_scene_and_the_scatter(depth_m, depths, scatter, differs):
+def test_offset_is_relative_to_depth_and_scatter(depth_m, depths, scatter, differs):
     motions = np.tile(np.eye(4), (33, 1, 1))
     angles = np.linspace(0, 2 * np.pi, 32, endpoint=False)
     motions[1:, :3, 3] = scatter * np.column_stack((np.cos(angles), np.sin(angles), 0 * angles))
@@ -43,7 +43,7 @@ def test_an_offset_counts_beside_the_depth_of_the_scene_and_the_scatter(depth_m,
 
 
 @pytest.mark.slow
-def test_recordings_in_two_world_frames_are_told_apart(sequence):
+def test_recordings_in_two_world_frames_are_detected(sequence):
     rows = slice(None, None, 2)  # of rooms that look alike
     images = {name: getattr(sequence, name)[rows] for name in ("image_paths", "timestamps_s", "recording")}
     sequence = replace(sequence, **images, poses=sequence.truth[rows])

@@ -44,7 +44,8 @@ def test_smoothing_keeps_what_is_exact_and_short():
     assert smooth_positions(positions[:2], np.ones((2, 3)), quats[:2], t[:2], PRIOR).shape == (2, 3)
 
 
-def test_a_fine_answer_is_not_given_up_for_missing_its_claim_a_wrong_one_is():
+def test_smoother_overrides_only_gross_errors():
+    """An answer is kept that misses its standard deviation by little beside the depth."""
     t, positions, rotations = path(60)
     quats = rotations.as_quat(scalar_first=True)
     calm = replace(PRIOR, acceleration_density=(0.005, 0.005))
@@ -100,7 +101,8 @@ def test_submaps_carry_a_path_through_answers_that_err_for_long():
     assert rms(together - positions) < 0.35 * rms(alone - positions)
 
 
-def test_a_smoother_starts_from_the_core_of_the_errors_of_known_images_and_is_wide_elsewhere():
+def test_smoother_starts_narrow_at_known_images():
+    """From the core of their errors; it is wide elsewhere."""
     t, positions, rotations = path(2)
     quats, spreads = rotations.as_quat(scalar_first=True), np.full((2, 3), 0.03)
     frames = [

@@ -56,7 +56,8 @@ def test_every_kind_has_the_conformal_quantile_of_its_own_frames(rules, alpha):
     np.testing.assert_allclose(alone.thresholds(np.array([GLOBAL]))[0], np.full(7, expected), rtol=1e-11)
 
 
-def test_disturbed_images_have_the_quantile_of_disturbed_frames_of_known_places(rules):
+def test_disturbed_images_use_their_own_quantile(rules):
+    """That of disturbed frames of known places."""
     copies, p = calibrated(rules.overall.bins, 40, seed=9), np.arange(40) / 40
     rules = replace(rules, disturbed=copies, disturbed_p=p).at(0.4)
     recognised, disturbed = np.arange(6) < 4, np.array([1, 0, 0, 1, 1, 1], dtype=bool)
@@ -77,7 +78,8 @@ def test_disturbed_images_have_the_quantile_of_disturbed_frames_of_known_places(
 
 
 @pytest.mark.parametrize(("n_matched", "bounded"), [(0, False), (8, False), (9, True)])
-def test_a_type_of_too_few_frames_is_unbounded_and_leaves_the_other_as_it_is(bins, n_matched, bounded):
+def test_evidence_type_of_few_frames_is_unbounded(bins, n_matched, bounded):
+    """The other type keeps its thresholds."""
     whole = calibrated(bins)
     rules = RegionRules(whole, np.arange(80) < n_matched, np.ones(80), 0.01).at(0.1)
     unmatched, landmarks = rules.thresholds(np.array([UNMATCHED, LANDMARKS]))

@@ -52,7 +52,7 @@ def supported_by_hand(rule, proba, supports, targets, level):
 
 
 @pytest.mark.parametrize("level", [0.3, 0.6, 0.8, 0.9, 0.97, 0.9999, 1.0])
-def test_region_holds_a_pose_exactly_where_its_score_is_at_most_the_level(beliefs, level):
+def test_region_contains_poses_scored_within_the_level(beliefs, level):
     proba, supports, targets = beliefs
     rule = rule_of()
     scores = pose_scores(rule, proba, supports, targets)
@@ -78,7 +78,7 @@ def test_a_threshold_at_a_score_holds_that_pose(beliefs):
     assert held.sum() == np.sum(own <= np.sort(own)[rule.rank - 1])
 
 
-def test_places_name_disjoint_cuboids_with_the_hypotheses_in_them(beliefs):
+def test_places_are_disjoint_boxes_around_hypotheses(beliefs):
     proba, supports, _ = beliefs
     regions = pose_regions(rule_of(), proba, supports, np.full(7, 0.97))
     for i, support in enumerate(supports):
@@ -114,7 +114,7 @@ def test_an_infinite_threshold_holds_every_pose(beliefs):
     assert np.isinf(regions.places(0)[0].box).all()
 
 
-def test_where_each_target_is_calibrated_by_itself_the_region_is_the_product(beliefs):
+def test_per_target_calibration_gives_the_product_region(beliefs):
     proba, supports, targets = beliefs
     rule = rule_of("none", "lac")
     np.testing.assert_array_equal(pose_scores(rule, proba, supports, targets), rule.score_samples(proba, targets))

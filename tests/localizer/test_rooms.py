@@ -44,7 +44,7 @@ def test_two_rooms_with_a_door_between_them_stay_two():
     assert Rooms.of(xyz, np.repeat([0, 1], 20), depth_m=2.0).rooms.max() == 1
 
 
-def test_the_room_of_a_belief_is_that_of_its_most_probable_hypothesis():
+def test_room_is_that_of_the_likeliest_hypothesis():
     rooms = Rooms(np.concatenate((path(0), path(20))), np.repeat([0, 1], 20))
     here, there = [0.3, 1.0, 0.0], [23.0, 1.0, 0.0]
     beliefs = [belief(here, there, mass=[0.6, 0.4]), belief(here, there, mass=[0.4, 0.6]), belief(there, mass=[1e-9])]
@@ -76,7 +76,8 @@ def test_the_guarantee_holds_in_each_room_with_enough_weight(n_members):
                 assert missed[rooms == room].sum() <= alpha * (rooms == room).sum() + 1e-9
 
 
-def test_small_rooms_are_calibrated_together_and_have_at_least_their_own_quantile():
+def test_small_rooms_are_calibrated_together():
+    """Their thresholds are at least their own quantiles."""
     easy, hard = np.linspace(0.1, 0.5, 40), np.array([0.2, 0.9])
     whole = rule(np.concatenate((easy, hard)))
     limits = thresholds_by_group(whole, np.repeat([0, 7], [40, 2]))
@@ -141,7 +142,7 @@ def test_each_type_has_thresholds_by_room():
     assert (rules.thresholds(np.array([EvidenceType.UNKNOWN]), np.array([0])) == np.inf).all()
 
 
-def test_disturbed_images_have_at_least_the_threshold_of_their_room():
+def test_disturbed_images_reach_their_room_threshold():
     rng = np.random.default_rng(0)
     rooms = np.repeat([0, 1], 100)
     scores = rng.random(200) * (1 + rooms)
@@ -154,7 +155,7 @@ def test_disturbed_images_have_at_least_the_threshold_of_their_room():
     assert limits[1, 0] > limits[0, 0]
 
 
-def test_known_places_in_a_small_room_do_not_pay_for_unknown_ones():
+def test_unknown_places_do_not_widen_known_ones():
     """A new room of two frames of known places and two others, whose scores are infinite, beside a large room."""
     rng = np.random.default_rng(4)
     novel, rooms = np.repeat([False, True, False, True], [40, 40, 2, 2]), np.repeat([0, 1], [80, 4])

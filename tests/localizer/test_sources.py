@@ -95,7 +95,7 @@ class MeanSource(Told):
         return cls(**state.arrays)
 
 
-def test_a_source_of_ones_own_is_fitted_believed_saved_and_loaded(data_of, tmp_path, monkeypatch):
+def test_custom_source_is_fitted_used_saved_and_loaded(data_of, tmp_path, monkeypatch):
     monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))  # known in this test alone
     assert register_source(MeanSource) is MeanSource  # also a decorator
     data, frames = data_of(100), np.arange(80)

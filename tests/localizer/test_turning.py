@@ -38,7 +38,8 @@ def map_of(*rolls):
     ("rolls", "rolled", "turn"),
     [([0], 20, 0), ([0], 70, 70), ([0], -100, -100), ([0, 90], 70, 0), ([0, 90], 170, 80), ([10], 190, 180)],
 )
-def test_an_image_is_turned_to_the_least_rolled_keyframe_unless_it_is_matched_as_it_is(rolls, rolled, turn):
+def test_image_turns_to_the_least_rolled_keyframe(rolls, rolled, turn):
+    """Unless it is matched as it is."""
     expected = (roll(rolled) * MOUNT.inv()).as_quat(scalar_first=True)
     found = np.degrees(map_of(*rolls).turn_for(np.array([1000.1, 0, 0]), expected))
     assert np.mod(found - turn + 180, 360) - 180 == pytest.approx(0, abs=1e-6)
@@ -64,7 +65,8 @@ def motion(degrees):
     return RelativeMotion(MotionStatus.OK, roll(degrees).as_matrix())
 
 
-def test_the_roll_is_followed_from_the_last_recognised_place_and_doubted_after_five_frames_without_one():
+def test_roll_tracking_expires_without_recognition():
+    """The roll is followed from the last recognised place, and doubted after five frames without one."""
     bins = QuantileBins.from_edges([np.linspace(0, 1, 3)] * 7)
     tracker = TurnTracker(Localizer((Turner(np.array([0])),), bins, SIGN))
 

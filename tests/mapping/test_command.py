@@ -43,6 +43,7 @@ def test_a_map_that_is_not_to_be_trusted_has_exit_code_1(clip, elsewhere, tmp_pa
 @pytest.mark.parametrize(
     ("options", "named"),
     [
+        ("", "video.mp4: no such file or folder"),
         ("--known-length a.png b.png -1", "positive number of metres, got -1"),
         ("--known-length a.png a.png 2", "needs two images, got a.png twice"),
         ("--known-length a.png b.png", "--known-length"),
@@ -53,18 +54,14 @@ def test_a_map_that_is_not_to_be_trusted_has_exit_code_1(clip, elsewhere, tmp_pa
         ("--seed -1", "--seed"),
     ],
 )
-def test_options_that_cannot_be_are_refused(tmp_path, monkeypatch, options, named):
+def test_missing_videos_and_bad_options_are_refused(tmp_path, monkeypatch, options, named):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("a 0 0 0\nb 1 0 0\nc 0 1 0\n")
     assert named in refusal("map", "video.mp4", "--out", "out", *options.split())
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_a_video_that_is_missing_is_named(tmp_path):
-    assert "missing.mp4: no such file or folder" in refusal("map", tmp_path / "missing.mp4", "--out", tmp_path / "out")
-
-
-def test_an_old_pycolmap_is_told_with_the_pip_line(clip, tmp_path, monkeypatch):
+def test_old_pycolmap_error_names_the_pip_line(clip, tmp_path, monkeypatch):
     monkeypatch.setattr(settings, "NEEDED", ("a_function_of_later",))
     assert "pip install 'conformodal[colmap]'" in refusal("map", clip, "--out", tmp_path / "out")
     assert _EXTRAS["map"] == "train"  # of which the rest of the command needs a part

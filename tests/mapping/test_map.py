@@ -61,7 +61,7 @@ def test_a_clip_becomes_a_recording_in_metres_that_is_upright(mapped):
     np.testing.assert_allclose(recording.timestamps_s, np.arange(N_FRAMES) / 30)  # folders of images have no times
 
 
-def test_fewer_keyframes_than_frames_are_mapped_and_all_are_registered(mapped):
+def test_keyframes_are_mapped_and_all_frames_registered(mapped):
     _, made, stages = mapped
     quality = made.quality
     assert 5 < quality.n_keyframes < N_FRAMES
@@ -126,7 +126,7 @@ def test_two_videos_of_one_room_share_a_world(clip, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_video_of_another_place_is_named_and_nothing_is_written(clip, elsewhere, tmp_path):
+def test_unconnected_video_is_named_and_nothing_written(clip, elsewhere, tmp_path):
     out = tmp_path / "out"
     made = build_map([clip, elsewhere], out, settings=SETTINGS)
     assert not made.written
@@ -176,7 +176,7 @@ def test_an_output_that_is_not_empty_stays_as_it_is(clip, tmp_path):
     assert contents(tmp_path) == before
 
 
-def test_a_video_given_twice_and_a_camera_of_other_images_are_refused(clip, tmp_path):
+def test_duplicate_video_and_second_camera_are_refused(clip, tmp_path):
     with pytest.raises(MapError, match="is given twice"):
         build_map([clip, clip.parent / "." / clip.name], tmp_path / "out")
     (tmp_path / "camera-intrinsics.txt").write_text("260 0 159.5\n0 260 119.5\n0 0 1\n")
@@ -227,7 +227,7 @@ def test_names_that_are_wrong_are_refused_before_the_long_work(clip, tmp_path, n
         (["a 0 0 0", "b 1 x 0", "c 2 2 0"], r"line 2: expected 'image x y z' in metres, got 'b 1 x 0'"),
     ],
 )
-def test_positions_that_tell_no_axes_are_refused_before_the_work(tmp_path, lines, why):
+def test_degenerate_positions_are_refused_before_the_work(tmp_path, lines, why):
     (tmp_path / "positions.txt").write_text("\n".join(lines))
     placement = Placement(positions_file=tmp_path / "positions.txt")
     with pytest.raises((MapError, DatasetError), match=f"positions.txt.*{why}"):
@@ -265,7 +265,7 @@ def test_a_video_held_sideways_is_mapped_as_it_is_shown(clip, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_desk_in_front_of_a_real_camera_is_mapped_as_motion_capture_saw_it(real_data, tmp_path):
+def test_map_of_a_real_desk_matches_motion_capture(real_data, tmp_path):
     desk = real_data("tum", "fr1_desk")
     recording = read_recording(desk)
     images = tmp_path / "images"

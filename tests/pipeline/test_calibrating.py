@@ -112,7 +112,7 @@ class ToldBeliefs:
         return self
 
 
-def test_frames_that_are_lost_do_not_calibrate_regions_from_posteriors(monkeypatch):
+def test_lost_frames_do_not_calibrate_path_regions(monkeypatch):
     unit, n = np.repeat(np.arange(5), (100, 40, 14, 6, 1)), 161
     score = np.arange(n) / n  # tells the frame
     posterior = SimpleNamespace(lost=False, unseen_s=0.3)
@@ -163,7 +163,8 @@ class Rolled:
         return Beliefs([np.full((1, 2), frame)], [("upright", "turned")[turned]], [[pose] if recognised else []])
 
 
-def test_held_out_stretches_are_looked_at_as_streams_and_rolled_images_turned(monkeypatch):
+def test_held_out_stretches_are_processed_as_streams(monkeypatch):
+    """As in a run, an image is turned by the pose of the frame before."""
     turned = []
 
     def features_of(frame, turned):
@@ -185,7 +186,7 @@ def test_held_out_stretches_are_looked_at_as_streams_and_rolled_images_turned(mo
     found = calibrating.beliefs_of_streams(
         units, dict.fromkeys(range(8)), calibrating.HeldOutStreams(data, held_out, Rolled(), carries=True)
     )
-    # by the pose of the frame before, which a turned image gives anew; the first of a stretch is upright
+    # a turned image gives its pose anew; the first of a stretch is upright
     assert sorted(turned) == [(2, 0.1, 2, 0), (3, 0.2, 3, 0), (6, 0.5, 6, 0), (7, 0.6, 7, 0)]
     assert found.mixtures == ["upright", "turned", "turned"] * 2
     np.testing.assert_array_equal(found.proba[0][:, 0], held_out)

@@ -121,7 +121,7 @@ def test_calibration_answers_a_held_out_stretch_as_a_run_does(model, answers, he
     )
 
 
-def test_single_frames_are_looked_at_as_often_as_features_are_detected(model, held_out, monkeypatch):
+def test_single_frames_are_localised_at_the_detection_rate(model, held_out, monkeypatch):
     (data, looks), asked, turned = held_out, [], []
     lost = SimpleNamespace(rows=set())
     localizer, answer = model.localizer, Localizer.beliefs

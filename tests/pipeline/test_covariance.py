@@ -46,7 +46,8 @@ def test_the_ellipsoid_holds_a_new_pose_as_often_as_asked():
     assert abs(np.mean(held) - expected) < 4 * np.sqrt(expected * (1 - expected) / 400)
 
 
-def test_stretches_weigh_alike_and_too_few_of_them_give_the_largest_error():
+def test_the_variance_factor_weighs_stretches_equally():
+    """Where stretches are too few, the factor is that of the largest error."""
     rng = np.random.default_rng(1)
     units, squared = np.repeat(np.arange(12), [1, 30, *[5] * 10]), rng.chisquare(6, 81)
     limit = hierarchical_quantile([squared[units == k] for k in range(12)], 0.2)
@@ -87,7 +88,7 @@ def test_estimates_state_the_calibrated_covariance():
     np.testing.assert_allclose(again.covariance, 9 / chi2.ppf(0.75, 6) * alone.covariance)
 
 
-def test_frames_like_no_known_place_have_a_factor_and_thresholds_of_their_own():
+def test_novel_frames_have_their_own_factor_and_thresholds():
     rng = np.random.default_rng(3)
     novel, room = np.repeat([False, True], 50), np.zeros(1, int)
     squared = np.concatenate((rng.chisquare(6, 50), 100 * rng.chisquare(6, 50)))
@@ -103,7 +104,7 @@ def test_frames_like_no_known_place_have_a_factor_and_thresholds_of_their_own():
     assert np.isfinite(both.thresholds(np.array([False, True]), np.zeros(2, int))).all(axis=1).tolist() == [True, False]
 
 
-def test_too_few_frames_of_a_kind_have_the_largest_error_of_their_own():
+def test_few_frames_of_a_kind_take_their_largest_error():
     squared, p = np.concatenate((np.full(6, 20.0), np.full(2, 1e8))), np.repeat([1.0, 0.05], [6, 2])
     few = PathRule(path_rule(CELLS, 0.1).calibrate_scores(np.zeros((8, 7))), 0.2, squared, p, 0.1, one_room(p))
     both = np.array([False, True]), np.zeros(2, int)

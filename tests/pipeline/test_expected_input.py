@@ -43,7 +43,7 @@ def test_gaps_and_other_rates_are_sound(watch, steps):
 
 
 @pytest.mark.parametrize("of_another", [False, True])
-def test_swapped_channels_are_told_once(recording, watch, real_data, of_another):
+def test_swapped_channels_warn_once(recording, watch, real_data, of_another):
     source = read_recording(real_data("tum", "fr1_xyz")) if of_another else recording
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -53,7 +53,7 @@ def test_swapped_channels_are_told_once(recording, watch, real_data, of_another)
 
 
 @pytest.mark.parametrize("changed", [lambda image: image, lambda image: image // 3, lambda image: image[..., [1] * 3]])
-def test_images_as_they_should_be_are_not_told(recording, watch, changed):
+def test_correct_images_do_not_warn(recording, watch, changed):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for i in range(0, 300, 10):

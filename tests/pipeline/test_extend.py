@@ -73,7 +73,7 @@ def taught(trained, without_poses):
     return extend_model(trained, [without_poses])
 
 
-def test_a_recording_is_answered_by_the_model_that_has_not_seen_it(trained, recordings, extended):
+def test_a_recording_is_tested_before_it_joins(trained, recordings, extended):
     """As a run of the model does, with the same coverage and the same scores."""
     [entry] = extended.journal
     run = VisualOdometry(trained).process(recordings[1])
@@ -177,7 +177,7 @@ def test_a_folder_of_several_recordings_is_refused(trained, recordings):
         extend_model(trained, [join_recordings(recordings[1:])])
 
 
-def test_reliable_frames_without_poses_join_at_the_answers_of_the_model(trained, taught, answered):
+def test_reliable_frames_join_at_estimated_poses(trained, taught, answered):
     reliable, n_known = answered.reliable, len(trained.known_frames)
     assert 10 <= reliable.sum() < len(reliable)
     poses = taught.known_frames.poses[n_known:]
@@ -244,7 +244,7 @@ def test_the_journal_says_that_there_were_no_poses(taught, answered, flights, tm
     assert "no poses: joined the map alone" in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_recording_without_poses_is_refused_twice_or_from_another_camera(trained, taught, without_poses):
+def test_unusable_recordings_without_poses_are_refused(trained, taught, without_poses):
     with pytest.raises(ConformodalError, match=r"flight-6.*images are in the model already"):
         extend_model(taught, [without_poses])
     other = replace(without_poses.camera, fx=2 * without_poses.camera.fx)

@@ -47,7 +47,7 @@ def test_no_band_is_stated_where_no_law_is_exact(exchangeable, groups):
         assert "band" not in one.describe()
 
 
-def test_the_weight_that_is_needed_is_where_regions_become_bounded():
+def test_regions_are_bounded_from_the_needed_weight_on():
     """With one evidence type of frames, the weight is the number of frames."""
     for n in (8, 9):
         whole = model(n, 0)

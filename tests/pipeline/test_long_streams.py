@@ -1,6 +1,7 @@
 """Clocks of streams that jump, stop or repeat; and streams without an end, which take no more memory."""
 
 import gc
+import re
 import tracemalloc
 from dataclasses import replace
 
@@ -38,7 +39,7 @@ CLOCKS = {  # times, and the frames that they cost
 
 
 @pytest.mark.parametrize("what", CLOCKS)
-def test_each_frame_without_a_time_of_its_own_is_named_and_no_other(what):
+def test_exactly_the_frames_with_invalid_times_are_named(what):
     times, lost = CLOCKS[what]
     problems = checked(times)
     assert [k for k, problem in enumerate(problems) if problem] == lost
@@ -46,24 +47,24 @@ def test_each_frame_without_a_time_of_its_own_is_named_and_no_other(what):
         assert (f"{k} at {times[k]} s follows" in problems[k]) or "expected a finite number" in problems[k]
 
 
-@pytest.mark.parametrize("back", [3600.0, 0.0])
-def test_a_clock_that_stays_back_ends_the_stream_and_both_frames_are_named(back):
-    clock = StreamClock()
-    assert not clock.check(frame("last", 7200.0))
-    for k in range(AT_MOST):
-        assert clock.check(frame(k, 7200.0 - back + k * (back > 0)))
-    with pytest.raises(SourceError, match=r"time goes back: next at 3700.0 s follows last at 7200.0 s"):
-        clock.check(frame("next", 3700.0))
+SET_BACK = {  # times of frames in order, of those that are lost, and of the one that ends the stream
+    "by an hour": ([7200.0], [3600.0 + k for k in range(AT_MOST)], 3700.0),
+    "after a stop": ([7200.0], [7200.0] * AT_MOST, 3700.0),
+    "after one time far ahead": ([0.0, 1e9], [0.1 * k for k in range(AT_MOST)], 1.0),
+}
 
 
-def test_a_time_far_ahead_ends_the_stream_by_its_name():
+@pytest.mark.parametrize("what", SET_BACK)
+def test_a_clock_that_stays_back_ends_the_stream(what):
+    in_order, lost, end = SET_BACK[what]
     clock = StreamClock()
-    assert not clock.check(frame("first", 0.0))
-    assert not clock.check(frame("wrong", 1e9))
-    for k in range(AT_MOST):
-        assert "follows wrong" in clock.check(frame(k, 0.1 * k))
-    with pytest.raises(SourceError, match=r"next at 1.0 s follows wrong at 1000000000.0 s"):
-        clock.check(frame("next", 1.0))
+    for time in in_order:
+        assert not clock.check(frame(f"at {time}", time))
+    last = f"follows at {in_order[-1]} at {in_order[-1]} s"
+    for k, time in enumerate(lost):
+        assert last in clock.check(frame(k, time))
+    with pytest.raises(SourceError, match=re.escape(f"time goes back: next at {end} s {last}")):
+        clock.check(frame("next", end))
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +90,7 @@ def test_results_hold_what_has_a_time_and_the_rest_is_counted(model, pictures, t
         assert path.timestamps_s.tolist() == [0.0, 0.1, 0.2, 400.0, 400.1]
 
 
-def test_after_minutes_without_frames_the_image_alone_tells_where_the_camera_is(model, pictures):
+def test_after_a_long_gap_the_path_is_forgotten(model, pictures):
     """The path before says nothing: a frame much later is answered as the first one of a stream is."""
     odometry, fresh = VisualOdometry(model), VisualOdometry(model)
     for k in range(5):

@@ -58,7 +58,7 @@ def test_a_saved_model_gives_the_same_answers(model, sequence, small_world, tmp_
 
 @pytest.mark.slow
 @pytest.mark.trained
-def test_regions_of_disturbed_images_are_calibrated_on_disturbed_ones(model, sequence, small_world):
+def test_regions_of_disturbed_images_keep_their_coverage(model, sequence, small_world):
     """Test frames that are disturbed as calibration frames were: exchangeable with them, so coverage has a law."""
     noisy, frames = replace(sequence, noise=Disturbance(seed=5)), model.split.test
     cache = FeatureCache(small_world.cache)
@@ -77,7 +77,8 @@ def test_regions_of_disturbed_images_are_calibrated_on_disturbed_ones(model, seq
     assert low <= held.mean()  # thresholds are no smaller than those of the band
 
 
-def test_a_region_from_a_posterior_is_unbounded_after_a_gap_longer_than_those_that_calibrate():
+def test_path_regions_are_unbounded_after_a_longer_gap():
+    """Longer than any gap of the calibration frames."""
     small = small_model()
     features = np.zeros((3, small.backbone.n_features), np.float32)
     beliefs, limit = small.localizer.beliefs(FrameEvidence(features)), small.path_rules["online"].longest_gap_s
@@ -135,7 +136,7 @@ def test_recalibration_nests_regions(model, sequence, small_world):
     assert narrow.length.sum() < wide.length.sum()
 
 
-def test_unreadable_files_are_left_out_and_told(sequence, small_world, tmp_path):
+def test_unreadable_files_are_omitted_and_reported(sequence, small_world, tmp_path):
     import shutil
 
     shutil.copytree(small_world.folder, tmp_path / "copy")

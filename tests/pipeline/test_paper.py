@@ -30,7 +30,7 @@ def model(data):
 
 
 @pytest.mark.parametrize("split", ["given", "blocks"])
-def test_its_calibration_frames_are_drawn_from_all_training_recordings(sequence, small_world, split):
+def test_calibration_frames_come_from_all_recordings(sequence, small_world, split):
     n = len(sequence)
     recording = np.arange(n) * 3 // n
     three = replace(sequence, recording=recording, given_test=recording == 2)
@@ -77,7 +77,7 @@ def test_features_are_the_whole_networks_averaged_over_the_image(data, model):
     assert head_of(model).projection.components.ndim == 1  # no projection: standardised features
 
 
-def test_each_dimension_is_calibrated_by_itself_and_cuboids_are_the_product(data, model):
+def test_each_dimension_is_calibrated_separately(data, model):
     held_out = data.split.calibration
     own = SplitConformal(model.bins, 0.2).calibrate(proba_of(model, data.features[held_out]), data.targets[held_out])
     np.testing.assert_array_equal(own.thresholds_, model.calibration.thresholds_)

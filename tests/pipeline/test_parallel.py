@@ -18,7 +18,7 @@ def threads(monkeypatch):
 
 
 @pytest.mark.parametrize("n", [1, 3])
-def test_results_are_in_the_order_of_the_items_and_products_take_one_thread(threads, n):
+def test_threads_keep_the_order_and_use_one_blas_thread(threads, n):
     threads(n)
     told = []
 

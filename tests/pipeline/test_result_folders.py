@@ -64,7 +64,7 @@ UNUSABLE = ["file", "file/x/y", "link", "a\0b", "x" * 300]
 
 
 @pytest.mark.parametrize("name", UNUSABLE, ids=range(len(UNUSABLE)))
-def test_folders_that_cannot_be_written_are_refused_before_the_work(tmp_path, name):
+def test_unwritable_folders_are_refused(tmp_path, name):
     (tmp_path / "file").write_text("mine")
     (tmp_path / "link").symlink_to(tmp_path / "gone")
     before = sorted(tmp_path.iterdir())
@@ -152,7 +152,7 @@ def test_earlier_results_stay_where_the_next_run_breaks_off(tmp_path, after):
 
 
 @pytest.mark.parametrize("step", range(8))
-def test_a_run_that_is_killed_while_it_replaces_earlier_results_never_passes_for_one(tmp_path, monkeypatch, step):
+def test_a_run_killed_while_publishing_is_refused(tmp_path, monkeypatch, step):
     """Before the first replacement the earlier run stands; a mixture is refused."""
     write_results(tmp_path)
     fill(tmp_path, {"methods/old.tum": (tmp_path / "methods" / "online.tum").read_text()})

@@ -46,7 +46,7 @@ def test_missing_results_are_named(tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
-def test_a_changed_source_is_dirty_and_a_result_just_written_is_no_change(tmp_path):
+def test_only_a_changed_source_marks_the_revision_dirty(tmp_path):
     def git(*arguments):
         name = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
         return subprocess.run(

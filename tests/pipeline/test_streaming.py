@@ -57,7 +57,7 @@ def stream(world, frames, folder, limit=None, **options):
     return runner
 
 
-def test_a_run_on_a_recording_and_a_stream_of_its_frames_write_equal_bytes(world, small_world, tmp_path):
+def test_a_run_and_a_stream_write_equal_bytes(world, small_world, tmp_path):
     sequence, model = world
     options = ["--part", "test", "--limit", 60]
     run_ok("run", small_world.model, small_world.folder, "--out", tmp_path / "run", *options)
@@ -89,7 +89,7 @@ def by_stretch(small_world):
     return sequence, model, np.split(test, np.flatnonzero(np.diff(test) > 1) + 1)[0]
 
 
-def test_regions_from_several_frames_hold_new_stretches_at_any_rate(by_stretch):
+def test_path_regions_cover_new_stretches_at_any_rate(by_stretch):
     sequence, model, _ = by_stretch
     targets = pose_targets(sequence.truth, model.sign_reference)
     for step in (1, 3):  # the recording's own rate, and a third of it
@@ -135,7 +135,7 @@ def test_after_a_cut_to_another_scene_no_pose_is_reliable(world):
     assert not any(estimate.reliable for estimate in after)
 
 
-def test_a_stream_has_the_flow_from_the_usable_frame_directly_before(world, monkeypatch):
+def test_flow_is_from_the_usable_frame_before(world, monkeypatch):
     sequence, model = world
     frames, passed = np.arange(60, 90, 4), []
     localize = type(model).localize
@@ -170,7 +170,7 @@ def test_what_waits_does_not_grow(world, tmp_path):
     assert len(read_trajectories(tmp_path)["smoothed"]) == 30
 
 
-def test_frames_without_an_image_are_counted_and_the_stream_goes_on(world, tmp_path):
+def test_frames_without_an_image_are_counted(world, tmp_path):
     with running(world, tmp_path) as runner:
         for i, frame in enumerate(RecordingStream(world[0], np.arange(12))):
             bad = Frame(frame.name, frame.timestamp_s, None, "torn") if i in (0, 5) else frame
@@ -183,7 +183,8 @@ def test_frames_without_an_image_are_counted_and_the_stream_goes_on(world, tmp_p
     assert len(read_trajectories(tmp_path)["smoothed"]) == 10
 
 
-def test_a_time_twice_costs_that_frame_and_a_clock_set_back_ends_the_run_with_all_before_kept(world, tmp_path):
+def test_a_clock_set_back_ends_the_run_and_keeps_results(world, tmp_path):
+    """A time that comes twice costs that frame alone."""
     frames = list(RecordingStream(world[0], np.arange(8)))
     with running(world, tmp_path) as runner:
         for frame in frames:

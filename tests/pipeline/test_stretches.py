@@ -40,7 +40,7 @@ def test_thresholds_are_those_of_stretches(trained):
     assert model.configuration["calibrate_on"] == "stretches"
 
 
-def test_the_sources_of_the_region_have_seen_all_frames_that_calibrate(trained):
+def test_region_sources_are_fitted_on_all_used_frames(trained):
     model, data, folds = trained
     for source in model.localizer.sources:
         np.testing.assert_array_equal(source.frames, folds.region_frames)

@@ -90,7 +90,7 @@ def made_up(n=300):
     return TrainingData(sequence, split, features, targets, np.array([1.0, 0, 0, 0]))
 
 
-def test_it_learns_from_training_and_calibration_part_and_from_no_test_frame():
+def test_the_regressor_learns_from_no_test_frame():
     data, config = made_up(), TrainingConfig(epochs=15, hidden=32, dropout=0.0, input_dropout=0.0, components=None)
     regressor = train_plain(data, config)
     known = np.concatenate((data.split.train, data.split.calibration))
@@ -103,7 +103,8 @@ def test_it_learns_from_training_and_calibration_part_and_from_no_test_frame():
     np.testing.assert_array_equal(again.predict(data.features), regressor.predict(data.features))
 
 
-def test_a_target_that_does_not_vary_and_unnormalised_quaternions_make_a_trajectory():
+def test_a_constant_target_yields_a_valid_trajectory():
+    """Its quaternions have unit length, though those that the network predicts have not."""
     data, config = made_up(60), TrainingConfig(epochs=2, hidden=8, components=None)
     regressor = train_plain(data, config)
     path = regressor.trajectory(data.features, np.arange(60.0))
@@ -112,7 +113,7 @@ def test_a_target_that_does_not_vary_and_unnormalised_quaternions_make_a_traject
     np.testing.assert_array_equal(path.positions_xyz, regressor.predict(data.features)[:, :3])
 
 
-def test_depths_of_redkitchen_are_those_of_a_kitchen_and_few_frames_say_nothing(redkitchen, monkeypatch):
+def test_tracked_depths_of_redkitchen_are_plausible(redkitchen, monkeypatch):
     sequence, asked, read = read_recording(redkitchen), [], Recording.image
     monkeypatch.setattr(Recording, "image", lambda its, i: asked.append(i) or read(its, i))
     frames = np.sort(np.random.default_rng(0).choice(1000, 640, replace=False))
@@ -125,7 +126,7 @@ def test_depths_of_redkitchen_are_those_of_a_kitchen_and_few_frames_say_nothing(
         assert track_depth(sequence, frames) == UNKNOWN_DEPTH
 
 
-def test_where_no_corner_can_be_tracked_matches_give_the_same_depth(redkitchen):
+def test_matched_depth_agrees_with_tracked_depth(redkitchen):
     sequence = read_recording(redkitchen)
     sparse = np.arange(0, 1000, 30)
     assert track_depth(sequence, sparse) == UNKNOWN_DEPTH

@@ -31,7 +31,7 @@ def test_enough_recordings_are_those_of_a_finite_threshold():
 
 
 @pytest.mark.parametrize("alpha", [0.2, 0.3])
-def test_stretches_stay_where_recordings_are_too_few_or_regions_would_become_unbounded(alpha):
+def test_stretches_stay_where_recordings_are_too_few(alpha):
     """At 0.3 three recordings are enough, but not for the half of the frames in which a place was recognised."""
     model = grown(alpha)
     assert (n_recordings_needed(model) <= 3) == (alpha == 0.3)
@@ -40,7 +40,7 @@ def test_stretches_stay_where_recordings_are_too_few_or_regions_would_become_unb
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_a_recording_without_poses_is_not_one_of_those_that_calibrate(first):
+def test_recordings_without_poses_do_not_calibrate(first):
     numbers = {"coverage": None, "bounded": 1.0, "path_coverage": None, "path_bounded": None}
     numbers |= {"reliable": 0.5, "median_m": None, "first_unit": 0, "n_units": 0}
     alone = JournalEntry(name="walk.mp4", date="2026-01-01", n_frames=40, **numbers)
@@ -62,7 +62,7 @@ def test_a_recording_without_poses_is_not_one_of_those_that_calibrate(first):
     assert "of the same recording" in short_guarantee(lonely)
 
 
-def test_recordings_calibrate_without_the_stretches_of_the_training(tmp_path):
+def test_recordings_replace_the_training_stretches(tmp_path):
     before = grown(0.6)
     after = calibrate_by_recordings(before)
     assert after is not before
@@ -82,7 +82,7 @@ def test_recordings_calibrate_without_the_stretches_of_the_training(tmp_path):
     assert calibrate_by_recordings(loaded) is loaded
 
 
-def test_stretches_stay_where_a_path_would_lose_its_bounded_regions():
+def test_stretches_stay_where_paths_would_be_unbounded():
     before = grown(0.6)
     paths = {}
     for path, rule in before.path_rules.items():

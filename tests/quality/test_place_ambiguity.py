@@ -42,7 +42,7 @@ def test_places_whose_views_have_something_in_common_are_one():
     assert examined([1.5, 3.0], [1.5, 3.0, 4.5], [1.5, 4.0]).n_places.tolist() == [1, 2, 2]
 
 
-def test_stretches_that_look_alike_are_named_by_frames_and_places():
+def test_ambiguous_stretches_name_frames_and_places():
     frames = [[1.5]] * 10 + [[1.5, 11.5]] * 5 + [[1.5]] * 10
     places = examined(*frames, numbers=100 + 2 * np.arange(25))
     (one,) = places.stretches

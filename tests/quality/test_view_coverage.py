@@ -45,7 +45,7 @@ def quality(poses, known, recording=ONE):
     return found, advice(found)
 
 
-def test_unknown_frames_far_from_every_known_one_are_sparsely_covered():
+def test_frames_far_from_known_ones_are_sparsely_covered():
     poses = corridor()
     known = poses[(EVERY < 50) | (EVERY >= 70)]
     found, lines = quality(poses, known)
@@ -93,7 +93,7 @@ def test_turns_that_are_missing_are_found():
     assert one.angle_deg == pytest.approx(np.degrees(60 * 0.02), rel=0.02)
 
 
-def test_the_nearest_view_is_the_one_that_a_search_through_all_finds():
+def test_the_nearest_view_equals_brute_force_search():
     rng = np.random.default_rng(0)
     known = path(rng.uniform(0, 3, (300, 3)), Rotation.random(300, random_state=1))
     turns = Rotation.from_quat(known.orientations_quat_wxyz, scalar_first=True)

@@ -71,7 +71,7 @@ def test_everything_stands_out_has_a_name_and_fits_the_window(opened, pages, kin
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_keyboard_reaches_everything_in_order_and_shows_where_it_is(opened, pages, kind):
+def test_keyboard_focus_is_ordered_and_visible(opened, pages, kind):
     page = opened(pages[kind])
     n, reached = page.evaluate("checks.focusable()"), []
     for _ in range(n):

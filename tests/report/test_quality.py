@@ -28,7 +28,7 @@ def examined(known=None, recording=ZERO):
     return RecordingQuality(sequence, EVERY, poses, np.flatnonzero(known), scale, coverage)
 
 
-def test_the_plan_tells_kinds_apart_by_marks_and_words():
+def test_the_plan_labels_view_coverage():
     plan = quality_plan(examined())
     for label in ("well covered (114)", "sparsely covered (6)", "57-62"):
         assert label in plan

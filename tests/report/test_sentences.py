@@ -25,7 +25,7 @@ NONE = np.empty((0, 2))
         ([NONE, HERE, HERE], (0, 0, 0), None, "empty", ("is empty",)),
     ],
 )  # fmt: skip
-def test_a_frame_is_told_by_its_region_and_its_pose(parts, position, truth, kind, facts):
+def test_a_sentence_describes_region_and_pose(parts, position, truth, kind, facts):
     evidence = EvidenceType.UNKNOWN if kind == "unknown place" else EvidenceType.LANDMARKS
     record = region_record("f", 0.0, [*parts, *[LINE] * 4], 0.00312, evidence)
     here, there = (None if at is None else Trajectory([0.0], [at], [[1.0, 0, 0, 0]]) for at in (position, truth))

@@ -46,7 +46,7 @@ def ink(page, canvas):
     )
 
 
-def test_the_page_shows_how_each_recording_was_answered_before_it_joined(make_run, tmp_path):
+def test_the_page_shows_the_journal_of_recordings(make_run, tmp_path):
     viewer, metrics = make_viewer(*make_run()), METRICS | {"configuration": {"alpha": 0.2}, "journal": JOURNAL}
     write_page(tmp_path / "report.html", "a run", ["first line"], metrics, viewer=viewer)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")

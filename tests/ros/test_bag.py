@@ -83,7 +83,7 @@ def test_a_run_is_recorded_frame_by_frame(recorded):
         assert status.status[0].level == (2 if unknown else 0 if record["reliable"] else 1)
 
 
-def test_poses_are_the_online_trajectory_and_the_last_path_has_them_revised(recorded):
+def test_poses_are_online_and_the_last_path_is_revised(recorded):
     out, path = recorded
     found, trajectories = read(path), read_trajectories(out)
     expected, hindsight = trajectories["online"], trajectories["hindsight"]

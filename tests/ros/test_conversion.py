@@ -34,7 +34,7 @@ def test_orientations_have_the_real_part_last(make_estimate, seed):
         np.testing.assert_allclose([pose.position.x, pose.position.y, pose.position.z], expected[:3, 3])
 
 
-def test_a_camera_that_looks_along_x_has_the_quaternion_of_the_textbook():
+def test_a_forward_camera_has_the_textbook_quaternion():
     """REP 103: optical frame against body frame, x of the world forward and z up."""
     looks = np.column_stack(([0, -1, 0], [0, 0, -1], [1, 0, 0]))  # its right, down and forward, in the world
     quat = Trajectory.from_poses_se3([0.0], [np.block([[looks, np.zeros((3, 1))], [np.eye(4)[3:]]])])
@@ -103,7 +103,7 @@ def test_boxes_are_the_region(make_estimate, seed):
     np.testing.assert_allclose(sorted(tuple(np.round(box, 9)) for box in found), np.round(expected, 9), atol=1e-9)
 
 
-def test_of_many_boxes_those_that_hold_most_of_the_belief_are_kept(make_estimate, some_candidates):
+def test_the_most_probable_boxes_are_kept(make_estimate, some_candidates):
     estimate = make_estimate(candidates=some_candidates(np.random.default_rng(0), 60))
     all_of_them = Conversion().messages(estimate, 0)["region"].markers[1:]
     few = Conversion(limits=MessageLimits(max_boxes=3)).messages(estimate, 0)

@@ -138,7 +138,7 @@ def test_what_is_missing_on_tf_is_an_error_that_names_it(robot, make_estimate, f
     assert status_of(keeper) == (0, "reliable")
 
 
-def test_without_tf_the_pose_of_the_base_is_published_all_the_same(robot, make_estimate):
+def test_the_base_pose_is_published_without_tf(robot, make_estimate):
     keeper = robot.make(publish_tf=False)
     early_s = TIMES_S[0] - 5
     assert keeper.update(make_estimate(early_s), ns(early_s), "camera") is not None  # odometry is not asked for

@@ -76,7 +76,7 @@ def write_robot(path, sequence, T_map_odom, n):
             write("/camera/image_raw", stamp, image_of(make, image, stamp))
 
 
-def test_odometry_and_map_to_odom_together_give_the_pose_of_the_camera(ros, world, tmp_path):
+def test_map_to_odom_and_odometry_give_the_camera_pose(ros, world, tmp_path):
     from rosbags.highlevel import AnyReader
 
     (sequence, model), T_map_odom = world, random_transform(np.random.default_rng(0))
@@ -152,7 +152,8 @@ def test_the_transform_is_sent_again_when_no_image_comes(running):
     assert stamp_ns(diagnostics(node)[-1]) == node.now_ns
 
 
-def test_odometry_that_is_late_is_waited_for_and_what_is_not_there_is_not(running):
+def test_late_odometry_is_waited_for(running):
+    """The mounting of the camera, which is known, is not waited for."""
     node, waited_s = running.node, running.ros.buffer.waited_s
     for i in range(6):
         running.show(i, START + i * STEP_NS)
@@ -220,7 +221,7 @@ def test_of_rooms_that_look_alike_the_initial_pose_chooses_one(running, module):
     assert len(running.node.logged) == 1  # an initial pose is used once
 
 
-def test_an_initial_pose_is_taken_at_the_very_start_of_simulated_time(running):
+def test_an_initial_pose_is_used_when_sim_time_starts(running):
     initial_pose(running, moved(running.sequence, 26, 0.2))
     running.show(26, STEP_NS // 4)
     [path] = said(running.node, "path")
@@ -235,7 +236,7 @@ def test_images_overrule_an_initial_pose_that_fits_none_of_them(running):
     assert along(said(running.node)[-1]) == pytest.approx(running.sequence.truth.positions_xyz[19, 0], abs=0.3)
 
 
-def test_initial_poses_that_cannot_be_used_are_named_and_change_nothing(running):
+def test_unusable_initial_poses_are_named_and_ignored(running):
     other = PoseNode(running.ros.make_node({}), VisualOdometry(running.live.odometry.model))
     orientation = running.ros.messages.of("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=0.0, w=0.0)
     T = moved(running.sequence, 26, MODULE_M)

@@ -58,7 +58,7 @@ def lost(message):
 START = 1_700_000_000_123_456_789
 
 
-def test_images_are_answered_as_by_the_estimator_with_their_own_stamps(running, world):
+def test_the_node_answers_as_the_estimator_does(running, world):
     node, ros = running.node, running.ros
     stamps = [START + i * NANOSECONDS // 10 for i in range(12)]
     _, callback = node.subscribed["image"]
@@ -79,7 +79,7 @@ def test_images_are_answered_as_by_the_estimator_with_their_own_stamps(running, 
     assert set(levels) <= {b"\0", b"\1"}  # never lost; the first place may be one of several
 
 
-def test_a_driver_that_repeats_its_picture_has_lost_the_pose_until_it_goes_on(running):
+def test_a_frozen_image_loses_the_pose_until_it_changes(running):
     node, ros, taken = running.node, running.ros, [0, 1, 2, 3, 3, 3, 3, 4]
     for i, frame in enumerate(taken):
         stamp_ns = START + i * NANOSECONDS // 20  # a single repeat may be a slower camera
@@ -134,7 +134,7 @@ def test_images_that_cannot_be_used_cost_that_image(running):
     assert "expected uint8" in texts[2]
 
 
-def test_images_out_of_order_are_left_out_and_a_clock_that_is_set_back_begins_anew(running):
+def test_late_images_are_dropped_and_a_clock_reset_restarts(running):
     node, ros, image = running.node, running.ros, running.sequence.image(0)
     on_image = node.subscribed["image"][1]
     for seconds in (10.0, 9.5, 10.0, 3.0):

@@ -49,7 +49,7 @@ def test_what_is_not_a_rotation_is_refused(quat):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_odometry_is_placed_so_that_its_base_lies_where_it_is_in_the_map(seed):
+def test_map_from_odom_places_the_base_in_the_map(seed):
     rng = np.random.default_rng(seed)
     T_map_base, T_odom_base = random_transform(rng), random_transform(rng)
     found = map_from_odom(T_map_base, T_odom_base) @ T_odom_base
@@ -70,7 +70,7 @@ def test_on_the_ground_odometry_keeps_its_height_and_tilt(seed):
     assert np.abs((whole @ odometry)[2, 3]) == pytest.approx(0.4)
 
 
-def test_the_covariance_at_another_point_of_the_body_is_that_of_samples():
+def test_the_covariance_at_an_offset_matches_samples():
     rng = np.random.default_rng(0)
     factor = rng.normal(size=(6, 6)) * 0.02
     covariance, offset = factor @ factor.T, np.array([0.4, -1.0, 2.0])

@@ -59,7 +59,7 @@ def test_no_sign_or_order_error_survives(seed, plane):
         np.testing.assert_allclose(motion.direction_prev, truth, atol=2e-3)
 
 
-def test_pure_rotation_keeps_the_rotation_and_drops_the_direction():
+def test_pure_rotation_gives_no_direction():
     before, after, R = two_views([0.02, 0.1, -0.03], np.zeros(3), noise_px=0.2)
     motion = estimate_relative_motion(before, after, CAMERA)
     assert motion.status is MotionStatus.LOW_PARALLAX
@@ -103,7 +103,7 @@ def test_front_end_agrees_with_the_exact_poses_of_the_corridor():
         assert motion.direction_prev @ truth > np.cos(np.radians(25))
 
 
-def test_corners_are_followed_beside_those_of_the_tracker_as_alone():
+def test_extra_corners_do_not_affect_the_tracker():
     first, second = (grey_image(image) for image in flight(2)[1])
     others = np.array([[30.5, 40.0], [60.0, 52.25], [-5.0, 3.0]], np.float32)
     alone, both = CornerTracker(), CornerTracker()
@@ -135,7 +135,7 @@ def test_black_blank_and_cut_frames_do_not_break_the_stream():
 
 
 @pytest.mark.parametrize("scale", [0.1, 0.4])
-def test_claimed_spreads_follow_the_errors_that_neighbouring_corners_share(scale):
+def test_motion_sigmas_match_correlated_errors(scale):
     # every cell of the image has one error, which is what the claim assumes; the factors allow for what real data adds
     turns, ways = [], []
     for seed in range(60):

@@ -58,7 +58,8 @@ def test_runs_have_the_flow_that_training_has(every):
             assert middle(one) == pytest.approx([0, 0] if after_a_gap and one is not flow else expected, abs=4), i
 
 
-def test_one_look_gives_features_and_motions_of_all_frames_though_it_is_cut_into_segments(monkeypatch):
+def test_one_pass_gives_all_features_and_motions(monkeypatch):
+    """Though it is cut into segments."""
     pan, frames = Pan(21, px=8), np.array([2, 3, 5, 6, 9, 12, 13, 20])
     whole = run_front_end(pan, frames, ORB, motions=True)
     monkeypatch.setattr("conformodal.tracking.motions._SEGMENT", 3)

@@ -66,7 +66,7 @@ def test_a_path_is_found_but_for_its_length(noise_px):
     assert submap.depth * length == pytest.approx(np.median(depths), rel=0.1)
 
 
-def test_where_corners_are_lost_another_submap_begins_in_the_middle():
+def test_lost_corners_start_an_overlapping_submap():
     centres, rotations, points = world(30, 900)
 
     def visible(t):  # every frame loses thirty corners and finds thirty others
@@ -80,7 +80,7 @@ def test_where_corners_are_lost_another_submap_begins_in_the_middle():
     assert submaps[-1].frames[-1] == 29
 
 
-def test_where_nothing_can_be_told_there_is_no_submap():
+def test_degenerate_input_gives_no_submap():
     centres, rotations, points = world()
     still = np.zeros_like(centres)
     assert build_submaps(corners_of(still, rotations, points, 0.1), CAMERA) == []  # turns only

@@ -60,7 +60,7 @@ def test_one_group_is_split_conformal(problem, seed, score):
             np.testing.assert_array_equal(a, b)
 
 
-def test_sets_of_small_and_new_groups_and_of_those_that_lie_outside_are_unbounded(problem):
+def test_small_new_and_outlying_groups_are_unbounded(problem):
     bins, proba, y = problem(0, n=80)
     y[:40, 0] = 1e9
     sets = cm.MondrianConformal(bins, 0.1).calibrate(proba, y, np.repeat([0, 1, 2], [40, 35, 5]))
@@ -142,7 +142,8 @@ def test_scores_of_any_size_keep_their_sets(factor):
     assert sets.masks[0].tolist() == [[True] * 5 + [False]]
 
 
-def test_a_row_without_a_group_is_covered_by_the_law_of_the_largest_threshold():
+def test_missing_group_coverage_follows_its_exact_law():
+    """That of the largest of the groups' thresholds."""
     # scores of the first of two bins are uniform, so the thresholds of two groups are order statistics
     bins, sizes, alpha = cm.QuantileBins.from_edges([[0.0, 1.0, 2.0]]), (19, 35), 0.1
     laws = [stats.beta(cm.conformal_rank(n, alpha), n + 1 - cm.conformal_rank(n, alpha)) for n in sizes]
@@ -165,7 +166,7 @@ def test_a_row_without_a_group_is_covered_by_the_law_of_the_largest_threshold():
         (np.array(["2024-01-01", "NaT", "2024-01-02", "2025-01-01"], "M8[D]"), [1], "date"),
     ],
 )  # fmt: skip
-def test_rows_without_a_group_have_the_sets_of_the_group_with_the_largest_threshold(groups, gaps, kind):
+def test_missing_group_gets_the_largest_threshold(groups, gaps, kind):
     labels = {"text": ["a", "b"], "number": [1, 2], "date": np.array(["2024-01-01", "2024-01-02"], "M8[D]")}[kind]
     rng, bins = np.random.default_rng(0), cm.QuantileBins.from_edges([np.arange(9.0)])
     proba = rng.dirichlet(np.full(8, 0.5), 90)

@@ -34,7 +34,7 @@ def thresholds(scores, conditions, asked, alpha=0.1):
 
 
 @pytest.mark.parametrize("alpha", [0.1, 0.25, 0.05])
-def test_without_conditions_the_threshold_is_the_conformal_quantile(rng, alpha):
+def test_constant_condition_gives_the_conformal_quantile(rng, alpha):
     for n in range(1, 60):
         for scores in (plain := rng.normal(size=n), np.round(plain)):
             found = thresholds(scores, np.ones((n, 1)), np.ones((1, 1)), alpha)
@@ -78,7 +78,7 @@ def test_shifts_along_a_smooth_condition_are_covered(rng):
         assert 0.9 - 4 * error <= covered.mean() <= 0.9 + 2 / (n + 1) / weight.mean() + 4 * error
 
 
-def test_a_condition_that_calibration_never_met_leaves_the_region_unbounded(rng):
+def test_unseen_condition_gives_an_unbounded_region(rng):
     y = rng.normal(size=100)
     its = ConditionalConformal(BINS).calibrate(FLAT[:100], y, np.zeros((100, 1)))
     with pytest.warns(UserWarning, match="regions of 1 of 2 samples are unbounded: too few calibration samples"):

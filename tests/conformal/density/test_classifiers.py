@@ -18,7 +18,8 @@ CLASSIFIERS = {
 
 
 @pytest.mark.parametrize("name", CLASSIFIERS)
-def test_classifiers_that_give_most_bins_no_probability_have_sets_near_the_shortest(name):
+def test_sparse_classifiers_give_near_shortest_sets(name):
+    """These classifiers give most bins no probability."""
     rng = np.random.default_rng(0)
     X, y = rng.uniform(-1, 1, (2500, 3)), rng.standard_normal(2500)  # nothing can be learnt: 3.29 is the shortest
     reg = ConformalRegressor(CLASSIFIERS[name], random_state=0).fit(X[:1000], y[:1000])
@@ -27,7 +28,7 @@ def test_classifiers_that_give_most_bins_no_probability_have_sets_near_the_short
     assert abs(regions.contains(y[1000:]).mean() - 0.9) < 0.07  # three standard deviations at 200 calibration rows
 
 
-def test_a_share_of_zeros_in_a_continuous_target_stays_where_it_is():
+def test_smoothing_keeps_a_point_mass_at_zero():
     rng = np.random.default_rng(0)
     X = rng.uniform(0, 1, (3000, 2))
     y = np.where(rng.random(3000) < X[:, 0], 0.0, rng.standard_normal(3000))
@@ -91,7 +92,7 @@ class Rote:
 
 
 @pytest.mark.parametrize("estimator", [Rote(), CLASSIFIERS["tree"]], ids=["density", "classifier"])
-def test_scales_of_joint_coverage_come_from_rows_that_were_not_learnt_from(estimator):
+def test_joint_scales_use_held_out_rows(estimator):
     rng = np.random.default_rng(0)
     X, Y = rng.random((500, 1)), rng.random((500, 2))
     reg = ConformalRegressor(

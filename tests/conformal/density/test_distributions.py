@@ -17,7 +17,8 @@ BELOW = norm.cdf(BINS.edges_[0][1:-1], MEAN[:, None], SIGMA[:, None])
 EXACT = np.diff(np.pad(BELOW, ((0, 0), (1, 1)), constant_values=((0, 0), (0, 1))), axis=1)
 
 
-def test_a_distribution_function_is_exact_and_outer_bins_get_the_rest():
+def test_cdf_gives_exact_bin_probabilities():
+    """The outer bins get what lies beyond them."""
     bins = QuantileBins.from_edges([[-1.0, 0.0, 1.0]])
     proba = bins.proba_from_cdf(norm(MEAN, SIGMA).cdf)
     np.testing.assert_allclose(proba[:, 0], norm.cdf(0, MEAN, SIGMA))
@@ -26,7 +27,8 @@ def test_a_distribution_function_is_exact_and_outer_bins_get_the_rest():
 
 
 @pytest.mark.parametrize("n_levels", [9, 99])
-def test_quantiles_are_interpolated_and_no_bin_has_probability_zero(n_levels):
+def test_quantiles_are_interpolated_to_bins(n_levels):
+    """No bin gets probability zero."""
     levels = np.linspace(0, 1, n_levels + 2)[1:-1]
     values = norm.ppf(levels, MEAN[:, None], SIGMA[:, None])
     proba = BINS.proba_from_quantiles(levels, values[:, ::-1])  # quantiles that cross are sorted
@@ -61,7 +63,8 @@ NARROW = {
 
 
 @pytest.mark.parametrize("given", NARROW)
-def test_too_narrow_distributions_give_mirrored_sets_of_mirrored_values(given):
+def test_mirrored_values_give_mirrored_sets(given):
+    """Of distributions that are too narrow for the errors."""
     rng = np.random.default_rng(0)
     x, error = rng.uniform(-30, 30, 1200), rng.exponential(8, 1200)
     lengths = []
@@ -81,13 +84,14 @@ TIED = {
     "more impossible": (np.eye(4)[np.r_[np.zeros(359, int), np.ones(41, int)]], "density", True),
     "impossible, by lac": (np.eye(4)[np.r_[np.zeros(359, int), np.ones(41, int)]], "lac", True),
     "lost in a sum": (np.array([[0, 1, 1e-30, 0]] * 400), "hpd", True),
-    "told apart by density": (np.array([[1e-30, 1, 0, 0]] * 400), "density", False),
+    "separated by density": (np.array([[1e-30, 1, 0, 0]] * 400), "density", False),
     "too few to bound a set": (np.eye(4)[np.ones(5, int)], "density", False),
 }
 
 
 @pytest.mark.parametrize("case", TIED)
-def test_values_without_probability_are_told_where_sets_are_whole_ranges(case):
+def test_zero_probability_values_warn(case):
+    """Only where they make the sets whole ranges."""
     proba, score, told = TIED[case]
     bins = QuantileBins.from_edges([[0.0, 1.0, 2.0, 3.0, 4.0]])
     with warnings.catch_warnings(record=True) as words:
@@ -100,7 +104,7 @@ def test_values_without_probability_are_told_where_sets_are_whole_ranges(case):
 
 
 @pytest.mark.parametrize(("n_draws", "told"), [(1, True), (3, True), (4, False)])
-def test_few_draws_are_told(n_draws, told):
+def test_few_draws_warn(n_draws, told):
     with warnings.catch_warnings(record=True) as words:
         warnings.simplefilter("always")
         BINS.proba_from_samples(np.zeros((3, n_draws)))

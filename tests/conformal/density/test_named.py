@@ -64,7 +64,7 @@ def test_left_out_densities_are_as_likely_as_those_of_new_rows():
 
 
 @pytest.mark.slow
-def test_weights_of_zero_leave_rows_out_and_a_common_factor_means_nothing():
+def test_sample_weights_are_relative_and_zero_drops_rows():
     X, y = two_branches(120, 5)
     weight = np.random.default_rng(0).integers(0, 3, 120).astype(float)
     kept = weight > 0
@@ -84,7 +84,7 @@ def test_few_rows_and_constant_columns(n):
         np.testing.assert_allclose(proba.sum(axis=1), 1)
 
 
-def test_thousands_of_columns_are_screened_by_rows_that_are_learnt_from():
+def test_column_screening_uses_training_rows_only():
     rng = np.random.default_rng(0)
     X, y = rng.normal(size=(60, 2000)), rng.normal(size=60)
     fits = (boosting(0.1, 20, 8, 5, 60, 0), X, y, np.ones(60), folds_of(60, 0, 5))
@@ -121,14 +121,14 @@ def test_weights_are_those_of_the_leaves_one_by_one():
     np.testing.assert_allclose(weights, expected, atol=1e-7)
 
 
-def test_rows_are_told_apart_whatever_stands_beside_them(fitted):
+def test_rows_are_predicted_independently(fitted):
     X = np.random.default_rng(5).uniform(-1, 1, (9000, 2))  # more than a block
     whole = fitted.predict_proba(X)
     np.testing.assert_allclose(whole[::-1], fitted.predict_proba(X[::-1]), rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(whole[7:8], fitted.predict_proba(X[7:8]), rtol=1e-12, atol=1e-12)
 
 
-def test_masses_are_those_of_the_kernels_at_the_weights_of_leaves(fitted):
+def test_masses_match_kernels_weighted_by_leaves(fitted):
     X = np.random.default_rng(6).uniform(-1, 1, (50, 2))
     guided, direct = fitted.forests_
     leaves = direct.apply(X)

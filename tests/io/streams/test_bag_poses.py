@@ -133,7 +133,7 @@ def test_poses_of_the_robot_are_moved_to_its_camera(tmp_path):
 
 
 @pytest.mark.parametrize("static", [[], STATIC[1:]])
-def test_poses_of_a_frame_that_nothing_connects_to_the_camera_are_refused(tmp_path, static):
+def test_poses_not_connected_to_the_camera_are_refused(tmp_path, static):
     odometry = ("/odom", "nav_msgs/msg/Odometry", motion, "base_link", "odom", TIMES)
     path = write_posed(tmp_path / "a", [odometry, *static])
     result = refusal("data", "convert", path, "--poses", "/odom", "--out", tmp_path / "out")
@@ -179,7 +179,7 @@ def test_a_topic_without_poses_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["mcap", "ros1"])
-def test_training_on_a_recording_names_what_makes_a_data_set_of_it(tmp_path, kind):
+def test_training_on_a_bag_names_the_convert_command(tmp_path, kind):
     path = write_bag(tmp_path / ("a.bag" if kind == "ros1" else "a"), kind)
     result = refusal("train", path, "--out", tmp_path / "model")
     assert f"conformodal data convert {path} --poses POSES --out FOLDER" in result

@@ -52,7 +52,7 @@ def data_of(poses_se3, camera, depth_m):
 
 
 @pytest.mark.slow
-def test_other_frames_are_not_looked_at_and_their_poses_count_nothing(world, looked_at, stated_camera, depth_m):
+def test_other_frames_and_their_poses_are_ignored(world, looked_at, stated_camera, depth_m):
     source = LandmarkSource.fit(data_of(world.poses_se3, stated_camera, depth_m), FRAMES)
     assert sorted(looked_at) == FRAMES.tolist()
     np.testing.assert_array_equal(source.frames, FRAMES)

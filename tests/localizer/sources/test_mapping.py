@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 from conformodal.features.local import LocalFeatures
 from conformodal.geometry.camera import NO_FLOW
 from conformodal.geometry.triangulation import triangulate
-from conformodal.localizer.landmark_settings import LandmarkSettings, MapSettings, PoseSettings
+from conformodal.localizer.landmark_settings import LandmarkMapSettings, LandmarkSettings, PoseSettings
 from conformodal.localizer.sources import mapping
 from conformodal.localizer.sources.landmark_map import MIN_INLIERS, LandmarkMap
 from tests.localizer.sources.conftest import CAMERA, DEPTH, make_world, poses_along
@@ -79,15 +79,15 @@ def test_a_rolling_shutter_is_found_and_compensated(world_of, stated_camera, dep
     assert (np.median(off[True], axis=0) < 0.5 * np.median(off[False], axis=0)).all()
 
 
-def test_a_map_is_adjusted_where_the_given_poses_have_errors_of_their_own(world_of, stated_camera, depth_m):
+def test_map_adjustment_corrects_noisy_poses(world_of, stated_camera, depth_m):
     world, rng = world_of(), np.random.default_rng(1)
     given = world.poses_se3.copy()
     given[:, :3, 3] += rng.normal(0, 0.03, (len(given), 3))
     given[:, :3, :3] = given[:, :3, :3] @ Rotation.from_rotvec(rng.normal(0, 0.01, (len(given), 3))).as_matrix()
     images, off = world.local_features(), {}
-    usual = MapSettings().rounds
+    usual = LandmarkMapSettings().rounds
     for rounds in (0, usual):
-        settings = LandmarkSettings(mapping=MapSettings(rounds=rounds))
+        settings = LandmarkSettings(mapping=LandmarkMapSettings(rounds=rounds))
         landmarks = LandmarkMap.build(images, given, stated_camera, depth_m, settings=settings)
         found = [landmarks.localize(world.see(world.poses_se3[i], seed=700 + i))[0] for i in range(2, 58, 5)]
         off[rounds] = [errors(one, world.poses_se3[i]) for one, i in zip(found, range(2, 58, 5), strict=True)]
@@ -96,13 +96,13 @@ def test_a_map_is_adjusted_where_the_given_poses_have_errors_of_their_own(world_
     assert np.corrcoef(landmarks.corrections[:, :3].ravel(), true.ravel())[0, 1] > 0.6
 
 
-def test_weaker_corners_are_triangulated_where_landmarks_are_too_few(world_of, stated_camera, depth_m, monkeypatch):
+def test_weak_corners_are_tried_if_landmarks_are_few(world_of, stated_camera, depth_m, monkeypatch):
     world = world_of(n=20)
     images = world.local_features(wrong=0.2)
     images[3] = images[3]._replace(pixels=images[3].pixels[:0], descriptors=images[3].descriptors[:0])
     given, triangulated = {}, {}
     for first in (40, 10_000):
-        settings = LandmarkSettings(mapping=MapSettings(max_landmarks=30, tried_first=first))
+        settings = LandmarkSettings(mapping=LandmarkMapSettings(max_landmarks=30, tried_first=first))
         triangulated[first] = []
 
         def counted(rays, tolerance, asked=triangulated[first]):
@@ -140,7 +140,7 @@ def test_two_places_that_look_alike_give_two_estimates(world_of, stated_camera, 
     assert near[1] - near[0] == pytest.approx(100, abs=0.05)
 
 
-def test_a_place_is_solved_once_though_keyframes_far_apart_show_it(monkeypatch, world_of, stated_camera, depth_m):
+def test_place_in_distant_keyframes_is_solved_once(monkeypatch, world_of, stated_camera, depth_m):
     world = world_of()
     world.poses_se3 = poses_along(60, sideways=6.0)
     settings = LandmarkSettings(pose=PoseSettings(max_distance_ratio=100))
@@ -214,7 +214,7 @@ def test_a_map_does_not_depend_on_the_number_of_threads(monkeypatch, world_of, s
         np.testing.assert_array_equal(getattr(maps[0], name), getattr(maps[1], name))
 
 
-def test_a_map_that_grows_keeps_what_it_has_and_localises_what_it_is_taught(world_of, stated_camera, depth_m):
+def test_extended_map_keeps_old_and_localizes_new(world_of, stated_camera, depth_m):
     """Half of the frames are mapped, those of one side; the rest join, without images of the first half."""
     world = world_of(n=60, turn=(0.01, -0.02, 0.01), place=(0.02, 0.01, 0))
     features, poses = world.local_features(), world.poses_se3

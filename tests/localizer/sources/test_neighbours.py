@@ -48,7 +48,7 @@ def two_places(n=60):
 QUERY = np.array([[0.3, 0.0]], dtype=np.float32)
 
 
-def test_places_that_look_alike_get_an_answer_each_and_none_in_between():
+def test_lookalike_places_get_separate_answers():
     x, y, _ = two_places()
     apart = regression(x, y, LocalSettings(2, 10, 1e-6, 3.0)).predict(QUERY)
     np.testing.assert_allclose(sorted(apart.values[0, apart.weights[0] > 0, 0]), [0.3, 10.3], atol=0.02)
@@ -65,7 +65,7 @@ def test_hidden_references_do_not_answer(radius):
     np.testing.assert_allclose(best(answers), [[0.3]], atol=0.02)
 
 
-def test_settings_that_tell_copies_of_a_place_apart_are_chosen():
+def test_settings_that_separate_lookalikes_are_chosen():
     x, y, _ = two_places(300)
     choices = [LocalSettings(2, 10, 0.03, radius) for radius in (None, 0.5)]
     left_out = fit_local(x, poses(y[:, 0]), np.arange(300), choices=choices)

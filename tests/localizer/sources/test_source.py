@@ -45,7 +45,7 @@ def images(sequence, frames):
     return [extract_local_features(sequence.image(int(i)), sequence.camera) for i in frames]
 
 
-def test_errors_of_held_out_frames_are_about_as_large_as_the_standard_deviations(sequence, split, source):
+def test_held_out_errors_match_standard_deviations(sequence, split, source):
     off, sigmas = [], []
     for i, image in zip(split.test.tolist(), images(sequence, split.test), strict=True):
         found = source.localize(image)
