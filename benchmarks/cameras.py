@@ -37,7 +37,7 @@ from conformodal.io import Disturbance
 from conformodal.pipeline.model import ONLINE
 
 DISTURBED = ("redkitchen, blocks", "fr1_xyz from fr1_desk", "fr1_rpy from fr1_desk and fr1_xyz")
-ABLATED = ("redkitchen, interleaved", "redkitchen, blocks", "corridor, new laps after three", "fr1_xyz from fr1_desk")
+ABLATED = (*tuple(WORLDS)[:4], "corridor, new laps after three")
 OTHERS = ("without motion", "without the filter")
 ELLIPSOIDS = (0.5, 0.9, 0.99)
 QUARTERS = ("smallest", "second", "third", "largest")

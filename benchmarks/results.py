@@ -33,7 +33,7 @@ class Unit:
 
 UNITS = {
     "cameras": Unit("cameras.py --seeds 40 41", 46, 2),
-    "camera_ablations": Unit("cameras.py --ablations --seeds 40", 25, 2, ("cameras",)),
+    "camera_ablations": Unit("cameras.py --ablations --seeds 40", 31, 2, ("cameras",)),
     "recordings": Unit("recordings.py", 14, 1, ("cameras",)),
     "unseen": Unit("unseen.py", 14),
     "landmarks": Unit("landmarks.py", 8),

@@ -114,7 +114,6 @@ def test_no_support_lowers_the_probability_of_an_inlier():
     assert found.slopes[1] == 0
     alone = held_out(errors, support=np.exp(log_support[:, :1]), weights=weights)
     expected = fit_error_model(alone, 2.0)
-    # the other support's median offset is all that differs
     assert (found.log_odds, found.slopes[0]) == pytest.approx((expected.log_odds, *expected.slopes), abs=1e-4)
     x, w = np.append(log_support[:, 0], np.full(2, np.median(log_support[:, 0]))), np.append(weights, [1, 1])
     reference = LogisticRegression(tol=1e-10).fit(x[:, None], np.append(inlier, [True, False]), sample_weight=w)

@@ -88,7 +88,7 @@ def fit_projection(features: Float32Array, n_components: int | None, view: slice
 def _rounded(directions: Float32Array, scale: Float32Array) -> Float32Array:
     """Standardised directions (F, k) over the features' scale (F,), in half precision unless that changes them much.
 
-    They are most of a model's numbers but for its map.
+    Components are the largest arrays of a model but for its map.
     """
     components = directions / scale[:, None]
     with np.errstate(over="ignore"):

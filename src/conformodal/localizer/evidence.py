@@ -206,6 +206,6 @@ def _inlier_odds(log_support: FloatArray, inlier: BoolArray, weights: FloatArray
 
     bounds = Bounds(np.concatenate(([-np.inf], np.zeros(len(middle)))), np.full(1 + len(middle), np.inf))
     start = np.zeros(1 + len(middle))
-    found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-13, "gtol": 1e-7})
-    offset, slopes = float(found.x[0]), found.x[1:]
+    optimum = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-13, "gtol": 1e-7})
+    offset, slopes = float(optimum.x[0]), optimum.x[1:]
     return offset - float(slopes @ middle), tuple(slopes.tolist())

@@ -167,5 +167,5 @@ def make_path_rule(rules: RegionRules, scored: PathScores, units: IntArray | Non
     rule.calibrate_scores(scored.scores, units)
     found = ~scored.lost
     longest_gap_s = float(scored.unseen_s[found].max(initial=0.0))
-    known = scored.known_p[found]
-    return PathRule(part_of(rule, found), longest_gap_s, scored.squared[found], known, rules.level, scored.rooms[found])
+    squared, known_p, rooms = scored.squared[found], scored.known_p[found], scored.rooms[found]
+    return PathRule(part_of(rule, found), longest_gap_s, squared, known_p, rules.level, rooms)
