@@ -63,6 +63,22 @@ def test_cells_hold_the_edges_of_the_bins_and_reach_beyond(bins):
     assert divide_bins(many).sizes == [900 + 2 * BEYOND]
 
 
+@pytest.mark.parametrize("depth_m", [3.0, np.nan])
+def test_estimates_of_a_target_that_never_changes_are_within_the_cells(depth_m):
+    """A wheeled robot: one height, and no roll."""
+    rng = np.random.default_rng(3)
+    values = np.column_stack(
+        (rng.uniform(0, 4, (500, 2)), np.full(500, 0.3), rng.uniform(-1, 1, (500, 2)), np.zeros((500, 2)))
+    )
+    cells = divide_bins(QuantileBins(50).fit(values), depth_m)
+    found = np.tile(values[:1], (1000, 1))
+    found[:, 2] += rng.normal(0, 0.01, 1000)
+    found[:, 5:] += rng.normal(0, 0.005, (1000, 2))
+    assert (cells.encode(found) >= 0).all()
+    assert (cells.encode(values[:1] + 5 * np.eye(7)[2])[:, 2] < 0).all()
+    assert np.diff(cells.edges_[2]).min() < 1e-6
+
+
 def test_rooms_far_away_change_no_region_by_more_than_a_cell():
     rng, cell_m, ends = np.random.default_rng(0), 2 / 400, []
     room = np.column_stack((rng.uniform(0, 4, (500, 3)), rng.uniform(-1, 1, (500, 4))))

@@ -27,6 +27,9 @@ _WIDEST, _AT_EACH_END, _BETWEEN = 1 / 400, 128, 16
 # cells beyond the bins at each end, each wider than the one before by this factor: poses may be where no training
 # frame was. They reach 2.4 times as far as the 800 cells
 BEYOND, _WIDER = 300, 1.01
+# How far they reach at least, where targets hardly change in training: in scene depths, or metres where none is known,
+# and of a quaternion's component
+_LEAST_REACH_DEPTHS, _LEAST_REACH_QUAT = 1.0, 0.3
 _NEGLIGIBLE = 1e-3  # hypotheses of less probability are left out of the marginals
 _MIN_ANGLE = 1e-4
 # Standard deviations around hypotheses within which the densest cells are sought, and how many cells that may be
@@ -188,6 +191,8 @@ def divide_bins(bins: QuantileBins, depth_m: float = math.nan) -> QuantileBins:
     """Cells that divide the bins, and wider and wider cells beyond them; edges of bins are edges of cells.
 
     Those of positions are fine for the scene's median depth, if it is known: else a room has few of a building's cells.
+    Those beyond the bins reach some way even where a target never changes, like the height of a wheeled robot: no
+    estimate is that exact.
     """
     least, growth, edges = max(1, -(-_CELLS // max(bins.sizes))), np.cumsum(_WIDER ** np.arange(1, BEYOND + 1)), []
     for j, coarse in enumerate(bins.edges_):
@@ -195,6 +200,8 @@ def divide_bins(bins: QuantileBins, depth_m: float = math.nan) -> QuantileBins:
         parts = [_divided(*ends, least, widest) for ends in zip(coarse[:-1].tolist(), coarse[1:].tolist(), strict=True)]
         fine = np.append(np.concatenate(parts), coarse[-1])
         steps = (fine[-1] - fine[0]) / (least * bins.sizes[j]) * growth
+        depth = depth_m if math.isfinite(depth_m) else 1.0
+        steps *= max(1.0, (_LEAST_REACH_DEPTHS * depth if j < 3 else _LEAST_REACH_QUAT) / steps[-1])
         edges.append(np.concatenate((fine[0] - steps[::-1], fine, fine[-1] + steps)))
     return QuantileBins.from_edges(edges)
 
