@@ -44,6 +44,21 @@ def test_smoothing_keeps_what_is_exact_and_short():
     assert smooth_positions(positions[:2], np.ones((2, 3)), quats[:2], t[:2], PRIOR).shape == (2, 3)
 
 
+@pytest.mark.parametrize("density", [1e-12, 1e-8, 0.5])
+def test_smoothed_positions_do_not_depend_on_the_origin_of_the_world(density):
+    """UTM coordinates reach millions of metres; 300 of 600 frames show no known place."""
+    rng = np.random.default_rng(0)
+    t = np.arange(600) / 30
+    positions = np.outer(t, [0.5, 0.1, 0.0]) + rng.normal(0, 0.02, (600, 3))
+    spreads = np.full((600, 3), 0.02)
+    spreads[200:500] = 1e3
+    quats, prior = np.tile([1.0, 0, 0, 0], (600, 1)), replace(PRIOR, acceleration_density=(density, density))
+    origin = np.array([5e6, 1e6, 100.0])
+    near = smooth_positions(positions, spreads, quats, t, prior)
+    far = smooth_positions(positions + origin, spreads, quats, t, prior) - origin
+    np.testing.assert_allclose(far, near, atol=0.02)
+
+
 def test_smoother_overrides_only_gross_errors():
     """An answer is kept that misses its standard deviation by little beside the depth."""
     t, positions, rotations = path(60)

@@ -147,6 +147,9 @@ def smooth_positions(
     n = len(positions_xyz)
     if n < 3:
         return positions_xyz.copy()
+    # the system is stiff: far from the origin of the world, rounding would move the path
+    origin = positions_xyz.mean(axis=0)
+    positions_xyz = positions_xyz - origin
     dt = np.diff(timestamps_s)
     second = _second_differences(dt)
     step = (dt[1:] + dt[:-1]) / 2
@@ -172,7 +175,7 @@ def smooth_positions(
         now = after
         if change < 1e-6:
             break
-    return now
+    return np.asarray(now + origin)
 
 
 def _share_beyond(off: FloatArray, near: float) -> FloatArray:
