@@ -142,6 +142,13 @@ def test_each_type_has_thresholds_by_room():
     assert (rules.thresholds(np.array([EvidenceType.UNKNOWN]), np.array([0])) == np.inf).all()
 
 
+def test_motion_knows_a_recognised_place_out_of_range():
+    recognised, known_p = np.array([True, True, False, False]), np.array([0.0, 0.5, 0.0, 0.5])
+    rules = RegionRules(rule(np.linspace(0, 1, 4)), recognised, known_p, 0.1)
+    np.testing.assert_array_equal(rules.known, [False, True, False, True])
+    np.testing.assert_array_equal(rules.shows_known_place, [True, True, False, True])
+
+
 def test_disturbed_images_reach_their_room_threshold():
     rng = np.random.default_rng(0)
     rooms = np.repeat([0, 1], 100)

@@ -284,6 +284,11 @@ class RegionRules:
         recognised = False if self.recognised is None else self.recognised
         return np.asarray(self.known_p > np.where(recognised, 0.0, self.level))
 
+    @property
+    def shows_known_place(self) -> BoolArray:
+        """(n,) whether motion treats each frame as of a known place: as :attr:`known`, or recognised out of range."""
+        return self.known if self.recognised is None else np.asarray(self.known | self.recognised)
+
     @cached_property
     def by_type(self) -> dict[EvidenceType, SplitConformal]:
         """Each evidence type but ``UNKNOWN``, calibrated on its own frames, however few."""

@@ -96,7 +96,7 @@ def calibrate_paths(
         return {}
     rules, units = calibrated.rules, folds.units
     ends = np.cumsum([len(fold.held_out) for fold in folds.folds])[:-1]
-    known, known_p = np.split(rules.known, ends), np.split(rules.known_p, ends)
+    known, known_p = np.split(rules.shows_known_place, ends), np.split(rules.known_p, ends)
     frames = [fold.held_out for fold in folds.folds]
     held_out = list(map(_HeldOutBeliefs, frames, localizers, calibrated.beliefs, known, known_p))
     streams = data.sequence.recording if units is None else units

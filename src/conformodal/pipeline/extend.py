@@ -312,7 +312,7 @@ def _with_scores(
         localization.candidates,
         [one.relative_motion for one in estimates],
         data.sequence.timestamps_s,
-        known=joined.known[-len(units) :],
+        known=joined.shows_known_place[-len(units) :],
     )
     forward = [one.posterior for one in estimates if one.posterior is not None]
     posteriors: dict[str, list[Posterior]] = {ONLINE: forward}
