@@ -100,3 +100,14 @@ def test_rows_are_moved_to_the_time_of_the_pose():
     pixels, flow = np.array([[100.0, 0.0], [100.0, 240.0], [100.0, 480.0]]), np.array([[100.0, 10.0]] * 3)
     moved = LENS.compensate_rolling_shutter(pixels, flow, np.array([0.01, 0.02])) - pixels
     assert moved == pytest.approx(-flow * np.array([[0.0], [0.01], [0.02]]))
+
+
+def test_a_recording_may_begin_with_frames_that_want_no_answer():
+    pan = Pan(4, px=8)
+    front_end = MotionFrontEnd(pan.camera)
+    front_end.track_only(pan.image(0))
+    front_end.track_only(pan.image(1))
+    motion = front_end.measure(pan.image(2))
+    assert motion is not None
+    assert motion.status is not MotionStatus.TOO_FEW
+    assert len(front_end.corners.pixels) > 50

@@ -208,7 +208,10 @@ class FrontEnd(ABC):
 
     def track_only(self, image: UInt8Array) -> None:
         """Track corners through a frame (height, width[, 3]) without measuring a motion."""
+        first = not self.tracker.started
         self.tracker.advance(grey_image(image))
+        if first:
+            self.tracker.mark()
 
     def measure(self, image: UInt8Array, beside: ImageCorners | None = None) -> RelativeMotion | None:
         """Motion from the frame measured last to this one; None for the first frame of a recording.
