@@ -44,6 +44,17 @@ def test_an_image_between_the_keyframes_is_found(world_of, stated_camera, depth_
     assert np.max(off, axis=0) == pytest.approx(0, abs=0.02)
 
 
+def test_rooms_that_look_the_same_are_both_found(mapped):
+    """Descriptors are rounded: the nearest may seem to have no distance at all, the other one as far off."""
+    world, _, _ = mapped
+    poses = np.concatenate((world.poses_se3, world.poses_se3))
+    poses[len(world.poses_se3) :, 0, 3] += 20
+    landmarks = LandmarkMap.build(world.local_features() * 2, poses, CAMERA, DEPTH)
+    for i in range(5, 55, 5):
+        found = landmarks.localize(world.local_features()[i])
+        assert sorted(round(one.position_xyz[0] - world.poses_se3[i][0, 3]) for one in found) == [0, 20], i
+
+
 @pytest.mark.parametrize(
     ("factor", "turn", "place"), [(0.88, (0.01, -0.02, 0.015), (0.03, -0.02, 0.05)), (1.0, (0, 0, 0), (0, 0, 0))]
 )

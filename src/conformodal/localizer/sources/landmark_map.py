@@ -25,6 +25,7 @@ from conformodal.localizer.evidence import LandmarkView, PoseMeasurement
 from conformodal.localizer.landmark_settings import LandmarkSettings
 
 MIN_INLIERS = 12  # of a pose
+_LEAST_DISTANCE = 1e-3  # one minus the cosine of two descriptors of one view: these are of half precision
 _RANSAC = {"min_iterations": 50, "seed": 0}
 _REFINEMENT = {"loss_type": "CAUCHY", "loss_scale": 1.0, "max_iterations": 10}  # more take long and hardly move a pose
 
@@ -230,9 +231,11 @@ class LandmarkMap:
         settings = self.settings.pose
         order = np.argsort(-alike, kind="stable")[: settings.n_retrieved]
         order = order[np.isfinite(alike[order])]
+        # descriptors are rounded, so that of two places that are equally similar one may seem to have no distance
+        nearest = max(1 - float(alike[order].max(initial=0.0)), _LEAST_DISTANCE)
         clusters: list[IntArray] = []
         while order.size and len(clusters) < settings.max_clusters:
-            if clusters and 1 - alike[order[0]] > settings.max_distance_ratio * (1 - alike[clusters[0][0]]):
+            if clusters and 1 - alike[order[0]] > settings.max_distance_ratio * nearest:
                 break
             apart = np.linalg.norm(self._centres[order] - self._centres[order[0]], axis=1)
             here = apart < settings.radius_depths * self.depth_m
