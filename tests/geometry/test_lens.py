@@ -25,3 +25,12 @@ def test_a_wider_and_coarser_camera_sees_black_around_the_image():
     np.testing.assert_allclose(brought[40, 50, :2], (81, 116), atol=3)
     assert not brought[0].any()
     assert 0.1 < filled_share(BENT, target) < 0.4
+
+
+def test_what_a_finer_lens_does_not_see_is_black():
+    """Though the image is made coarser first."""
+    white = np.full((960, 1280), 255, np.uint8)
+    source = PinholeCamera(1200, 1200, 639.5, 479.5, 1280, 960, (-0.3, 0.0, 0.0, 0.0))
+    brought = view_as(white, source, PinholeCamera(200, 200, 159.5, 119.5, 320, 240))
+    assert np.isin(brought, (0, 255)).mean() > 0.97
+    assert not brought[[0, 0, -1, -1], [0, -1, 0, -1]].any()

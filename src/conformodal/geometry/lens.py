@@ -12,6 +12,7 @@ from conformodal.core.arrays import AnyArray, Float32Array, FloatArray
 from .camera import PinholeCamera
 
 _SHRINK = 1.5  # images finer than so many times are made coarser first
+_FAR = 1e6  # pixels: beyond any image, also a smaller one
 _OUTSIDE = 1.05  # of the widest ray of a lens: beyond, it may fold into the image again
 
 
@@ -22,7 +23,7 @@ def on_plane(camera: PinholeCamera, pixels: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=16)
 def view_maps(source: PinholeCamera, target: PinholeCamera) -> tuple[Float32Array, Float32Array]:
-    """Where in an image of a source the pixels of the target are, x and y; -1 where the source does not see them."""
+    """Where in an image of a source the pixels of the target are, x and y; far outside where it does not see them."""
     grid = np.indices((target.height, target.width))[::-1].reshape(2, -1).T.astype(np.float64)
     plane, lens = on_plane(target, grid), np.array(source.distortion)
     rays = np.column_stack((plane, np.ones(len(plane))))
@@ -30,8 +31,8 @@ def view_maps(source: PinholeCamera, target: PinholeCamera) -> tuple[Float32Arra
     corners = np.array([[x, y] for x in (0.0, source.width - 1) for y in (0.0, source.height - 1)])
     widest = float(np.linalg.norm(on_plane(source, corners), axis=1).max())
     visible = (np.linalg.norm(plane, axis=1) <= _OUTSIDE * widest) & np.isfinite(pixels).all(axis=1)
-    pixels[~visible] = -1
-    x, y = np.clip(pixels, -1e6, 1e6).T.reshape(2, target.height, target.width).astype(np.float32)
+    pixels[~visible] = -_FAR
+    x, y = np.clip(pixels, -_FAR, _FAR).T.reshape(2, target.height, target.width).astype(np.float32)
     return x, y
 
 
