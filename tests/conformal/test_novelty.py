@@ -45,6 +45,15 @@ def test_other_places_get_the_least_p_value():
     assert test.least_p == 1 / 51
 
 
+@pytest.mark.parametrize("seed", range(40))
+def test_no_p_value_is_above_one_by_rounding(seed):
+    rng = np.random.default_rng(seed)
+    groups = np.repeat(np.arange(9), rng.integers(1, 60, 9))
+    test = NoveltyTest(rng.normal(size=(len(groups), 2)), groups)
+    assert test.p_values(np.zeros(1))[0] == pytest.approx(1)
+    assert test.p_values(np.zeros(1))[0] <= 1
+
+
 def test_left_out_p_values_are_those_of_the_other_groups():
     rng = np.random.default_rng(5)
     references, groups = rng.normal(size=(30, 3)), np.repeat(np.arange(6), 5)

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -187,3 +188,16 @@ def test_a_damaged_model_is_refused(tmp_path, what):
     spoil(tmp_path)
     with pytest.raises(ModelFileError, match=match):
         load_model(tmp_path)
+
+
+def test_a_model_that_could_not_be_read_back_is_not_saved(tmp_path):
+    model = small_model()
+    model.prior = replace(model.prior, volume_m3=7.8e9)  # of a world in millimetres
+    save_model(model, tmp_path)
+    assert load_model(tmp_path).prior.volume_m3 == 7.8e9
+    before = (tmp_path / "model.json").read_bytes()
+    model.rules = replace(model.rules, known_p=model.rules.known_p + 1)
+    with pytest.raises(ModelFileError, match="known_p"):
+        save_model(model, tmp_path)
+    assert (tmp_path / "model.json").read_bytes() == before
+    load_model(tmp_path)

@@ -92,7 +92,7 @@ class NoveltyTest:
     def p_values(self, scores: npt.ArrayLike) -> FloatArray:
         """``(1 + sum over units of the share of their scores that are at least as large) / (K + 1)``, (m,)."""
         at_least = self._from[np.searchsorted(self._sorted, as_scores(scores), side="left")]
-        return np.asarray((1 + at_least) / (self.n_units + 1))
+        return np.asarray(np.minimum((1 + at_least) / (self.n_units + 1), 1.0))  # sums of weights are rounded
 
     def left_out_p_values(self) -> FloatArray:
         """P-values (n,) of the known samples among the other units, in the unit of :meth:`p_values`.

@@ -104,7 +104,7 @@ _RECORD: dict[str, Any] = {  # the content of model.json, without its digest
         "acceleration_density": ListOf(_POSITIVE),
         "depth_m": (None, _POSITIVE),
         "depth_spread": (None, Range(0, 1e9)),
-        "volume_m3": _POSITIVE,
+        "volume_m3": Range(0, 1e30, "(]"),  # of a world in millimetres, too
     },
     "camera": CAMERA_JSON,
     "split": {"kind": SplitKind, "seed": RANGES["seed"]},
@@ -168,6 +168,11 @@ def save_model(model: PoseModel, folder: Path) -> None:
         "journal": [asdict(entry) for entry in model.journal],
         **{name: hashlib.sha256(contents[name]).hexdigest() for name in _FILES},
     }
+    try:
+        check_json(json.loads(json.dumps(record)), _RECORD, _JSON)
+        check_arrays(_without_sources(arrays), _ARRAYS, _sizes_of(model.backbone))
+    except _DAMAGE as exc:
+        raise ModelFileError(f"{folder}: the model could not be read back, and is not saved: {exc}") from exc
     record["sha256"] = _digest(record)
     for name, content in contents.items():
         write_whole(_path(folder, name, record[name]), content)
@@ -176,6 +181,17 @@ def save_model(model: PoseModel, folder: Path) -> None:
         for path in folder.glob(pattern.format("*")):
             if path != _path(folder, name, record[name]):
                 path.unlink(missing_ok=True)
+
+
+def _sizes_of(backbone: Backbone) -> dict[str, int]:
+    """Sizes that arrays of a model share with its network."""
+    rows, columns = backbone.config.grid
+    return {"n_features": backbone.n_features, "n_coarse": backbone.n_coarse, "n_rows": rows, "n_columns": columns}
+
+
+def _without_sources(arrays: dict[str, AnyArray]) -> dict[str, AnyArray]:
+    """The arrays of a model but those of its sources, which check their own."""
+    return {name: array for name, array in arrays.items() if not name.startswith("source.")}
 
 
 def _path(folder: Path, name: str, digest: str) -> Path:
@@ -282,14 +298,13 @@ def _read(folder: Path, name: str, record: dict[str, Any]) -> bytes:
 
 def _assemble(record: dict[str, Any], arrays: dict[str, AnyArray], folder: Path) -> PoseModel:
     stated, split, comparison = (record[name] for name in ("calibration", "split", "comparison"))
-    grid = rows, columns = tuple(record["backbone"]["grid"])
-    config = BackboneConfig(**record["backbone"] | {"grid": grid})
+    config = BackboneConfig(**record["backbone"] | {"grid": tuple(record["backbone"]["grid"])})
     with _naming("backbone"):
         backbone = Backbone(config, _read(folder, "network", record))
     with _naming("detector"):
         detector: Detector = DETECTORS[record["configuration"]["features"]](_read(folder, "detector", record))
-    sizes = {"n_features": backbone.n_features, "n_coarse": backbone.n_coarse, "n_rows": rows, "n_columns": columns}
-    check_arrays({k: v for k, v in arrays.items() if not k.startswith("source.")}, _ARRAYS, sizes)
+    sizes = _sizes_of(backbone)
+    check_arrays(_without_sources(arrays), _ARRAYS, sizes)
     bins = QuantileBins.from_edges([arrays[f"bins.{j}"] for j in range(len(TARGET_NAMES))])
     sizes["n_bins"] = sum(bins.sizes)
     sources = []
