@@ -72,8 +72,7 @@ def test_recordings_replace_the_training_stretches(tmp_path):
     for path, rule in after.path_rules.items():
         np.testing.assert_array_equal(rule.calibration.scores_, before.path_rules[path].calibration.scores_[15:])
         assert set(rule.calibration.unit_sizes_) == {15}
-    assert after.novelty.matched.n_units == 3
-    assert len(after.novelty.test.references) == len(before.novelty.test.references)
+    assert after.novelty is before.novelty  # its p-values keep the scale of the significance level
     assert "new recording" in short_guarantee(after)
     assert describe_units(after).startswith("Whole recordings calibrate: 3")
     save_model(after, tmp_path)

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from conformodal.conformal import NoveltyTest
 from conformodal.core.arrays import IntArray, RealArray
 from conformodal.core.words import counted
 
@@ -42,7 +41,9 @@ def calibrate_by_recordings(model: PoseModel) -> PoseModel:
 
     Each was answered by a map that had not seen it. Stretches of the training recordings were answered by maps that had
     seen their neighbours, and no longer calibrate, but for disturbed images, of which there are copies of those alone.
-    Neither an evidence type nor a path loses its bounded regions in any room.
+    Neither an evidence type nor a path loses its bounded regions in any room. The test of novelty stays as it is, with
+    stretches as units: p-values of calibration frames and of new images keep one scale, and few recordings would make
+    the least p-value larger than the significance level.
     """
     journal = model.journal_with_poses
     if model.configuration.get("whole_recordings") or len(journal) < n_recordings_needed(model):
@@ -86,21 +87,10 @@ def calibrate_by_recordings(model: PoseModel) -> PoseModel:
         )
         if _loses_bounded(*(each.thresholds(rule.novel, rule.rooms) for each in (rule, path_rules[path]))):
             return model
-    novelty = model.novelty
-    if novelty is not None:
-        units = novelty.test.units_
-        # the training recordings, of which it is not stored which frame is of which, are one unit
-        test = NoveltyTest(novelty.test.references, np.where(units < first, first - 1, recordings_of(units)))
-        matched = novelty.matched
-        if matched is not None:
-            rows = matched.units_ >= first
-            matched = test.rescored(matched.scores_[rows], recordings_of(matched.units_[rows]))
-        novelty = replace(novelty, test=test, matched=matched)
     return replace(
         model,
         rules=by_recording,
         path_rules=path_rules,
-        novelty=novelty,
         comparison=None,
         configuration={**model.configuration, "whole_recordings": True},
     )
