@@ -87,13 +87,14 @@ def test_what_cannot_be_monitored_is_refused(fitted, tmp_path):
     assert "level must be" in refusal("monitor", fitted, file, "--level", "2")
 
 
-def written_run(folder, model_folder, scores=None, known_p=None):
+def written_run(folder, model_folder, scores=None, known_p=None, n_recordings=1):
     """A folder of results with these scores or p-values, frame by frame."""
     values = scores if scores is not None else known_p
     intervals = {name: [[0, 1]] for name in ("x", "y", "z", "q_w", "q_x", "q_y", "q_z")}
     with ResultsWriter(folder) as writer:
         for i, value in enumerate(values):
             record = {"timestamp_s": float(i), "frame": f"{i}.png", "motion": "ok", "evidence": "landmarks"}
+            record["recording"] = i * n_recordings // len(values)
             record |= {"reliable": True, "intervals": intervals, "places": None, "path_places": None}
             writer.region(
                 record | {"score": value if scores is not None else None, "known_p": None if known_p is None else value}
@@ -122,6 +123,11 @@ def test_each_recording_is_a_unit_where_recordings_calibrate(model_folder, tmp_p
     assert "left out: 3 frames without a true pose" in result.output
 
 
+def test_the_recordings_of_a_run_are_units_of_their_own(model_folder, tmp_path):
+    run = written_run(tmp_path / "run", model_folder, [0.1, 0.2, 0.3, 0.4, 0.5, 0.6], n_recordings=2)
+    assert scores_of_runs(model_folder, [run], 0).new[:, 0].tolist() == pytest.approx([0.3, 0.6])
+
+
 def test_recordings_that_fit_badly_raise_an_alarm(model_folder, tmp_path):
     runs = [written_run(tmp_path / f"run-{k}", model_folder, [1e300] * 5) for k in range(30)]
     result = invoke("monitor", model_folder, *runs)
@@ -138,7 +144,7 @@ def test_runs_without_truth_are_tested_for_novelty(model_folder, tmp_path):
 
 def test_runs_without_truth_among_others_are_named(model_folder, tmp_path):
     runs = [written_run(tmp_path / "a", model_folder, [0.1]), written_run(tmp_path / "b", model_folder, known_p=[0.5])]
-    assert f"1 run without true poses: {tmp_path / 'b'}" in " ".join(
+    assert f"1 recording without true poses: {tmp_path / 'b'}" in " ".join(
         run_ok("monitor", model_folder, *runs).output.split()
     )
 

@@ -132,7 +132,7 @@ def test_lost_frames_do_not_calibrate_path_regions(monkeypatch):
     every = np.ones(n, dtype=bool)
     overall = SimpleNamespace(alpha=0.1, units_=unit, bins=BINS)
     # every third image is like no known place
-    rules = SimpleNamespace(overall=overall, known=every, known_p=(np.arange(n) % 3) / 2, level=0.1)
+    rules = SimpleNamespace(overall=overall, shows_known_place=every, known_p=(np.arange(n) % 3) / 2, level=0.1)
     folds = Folds([Fold(np.arange(0), np.arange(n))], np.arange(0), unit, unit)
     its = SimpleNamespace(rules=rules, beliefs=[ToldBeliefs(np.arange(n))])
     data = SimpleNamespace(sequence=sequence, targets=np.zeros((n, 7)), split=SimpleNamespace(kind=SplitKind.BLOCKS))

@@ -49,10 +49,11 @@ class ResultsError(ConformodalError):
 # ---- records of regions
 
 
-def record_of(name: str, estimate: Estimate, score: float | None = None) -> dict[str, Any]:
+def record_of(name: str, estimate: Estimate, score: float | None = None, recording: int = 0) -> dict[str, Any]:
     """The record of a frame, one line of ``regions.jsonl``, from its estimate, which has a region.
 
-    `score` is the nonconformity score of the true pose, where it is known.
+    `score` is the nonconformity score of the true pose, where it is known; `recording` the number of the recording in
+    the source.
     """
     region, evidence, motion = estimate.region, estimate.evidence, estimate.relative_motion
     assert region is not None
@@ -60,6 +61,7 @@ def record_of(name: str, estimate: Estimate, score: float | None = None) -> dict
     return {
         "timestamp_s": round(float(estimate.timestamp_s), 6),
         "frame": name,
+        "recording": recording,
         "reliable": estimate.reliable and evidence is not EvidenceType.UNKNOWN,
         # of the chosen place, when the frame came
         "place_p": float(f"{estimate.places[0].probability:.4g}") if estimate.places else None,

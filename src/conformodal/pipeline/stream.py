@@ -211,7 +211,7 @@ class StreamRunner:
         truth = self.scores.true_pose(frame)
         if self.writer is not None:
             score = None if truth is None else self.scores.score(estimate, truth)
-            self.writer.region(record_of(frame.name, estimate, score))
+            self.writer.region(record_of(frame.name, estimate, score, frame.recording))
         if truth is not None:
             self.scores.add(self.n_answered - 1, estimate, truth)
         if not self.estimator.whole_paths:  # each answer is the last word

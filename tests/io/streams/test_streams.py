@@ -3,6 +3,7 @@ import time
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from types import SimpleNamespace
 
 import cv2
@@ -14,6 +15,7 @@ from conformodal.io import DatasetError, DatasetWarning, read_recording
 from conformodal.io.diagnosis.recordings import describe_unopened
 from conformodal.io.streams import Frame, RecordingStream, SourceError, open_stream, prefetch
 from conformodal.io.streams.bag import BagStream
+from conformodal.io.streams.frames import frame_names
 from conformodal.io.streams.ros_messages import COMPRESSED, RAW, camera_of_info, image_of
 from conformodal.io.streams.video import CameraStream, VideoStream
 
@@ -566,3 +568,34 @@ def test_every_damaged_mcap_is_described(tmp_path):
             content[at] = int(rng.choice([0, 1, 8, 127, 255]))
         (tmp_path / "a.mcap").write_bytes(content[: rng.integers(9, len(whole) + 1)])
         assert isinstance(describe_unopened(tmp_path / "a.mcap"), str)
+
+
+def test_files_of_one_name_in_two_recordings_have_names_of_their_own(tmp_path):
+    here, there = tmp_path / "seq-01" / "a.png", tmp_path / "seq-02" / "a.png"
+    assert frame_names([here, tmp_path / "seq-01" / "b.png"]) == ["a.png", "b.png"]
+    assert frame_names([here, there]) == ["seq-01/a.png", "seq-02/a.png"]
+
+
+def test_a_live_camera_is_stamped_by_a_clock_that_is_not_set(monkeypatch):
+    wall, steady = iter([100.0, 99.5, 99.4]), iter([5.0, 5.0, 5.1])
+    monkeypatch.setattr("conformodal.io.streams.video.time.time", lambda: next(wall))
+    monkeypatch.setattr("conformodal.io.streams.video.time.monotonic", lambda: next(steady))
+    monkeypatch.setattr("conformodal.io.streams.video.cv2.VideoCapture", Device)
+    stamps = [frame.timestamp_s for frame in islice(CameraStream(0), 2)]
+    assert stamps == pytest.approx([100.0, 100.1])
+
+
+class Device:
+    """A camera that never ends."""
+
+    def __init__(self, index):
+        pass
+
+    def isOpened(self):
+        return True
+
+    def read(self):
+        return True, np.zeros((4, 4, 3), np.uint8)
+
+    def release(self):
+        pass

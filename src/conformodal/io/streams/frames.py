@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from queue import Empty, Full, Queue
 from threading import Event, Thread
 from typing import Protocol
@@ -130,14 +132,24 @@ class RecordingStream:
     def __iter__(self) -> Iterator[Frame]:
         """Decode frame after frame; one that cannot be decoded comes without an image."""
         wanted = set(self._span() if self.frames is None else self.frames.tolist())
+        names = frame_names(self.sequence.image_paths)
         for i in self._span():
             image, problem = None, ""
             try:
                 image = self.sequence.image(i)
             except ImageError as exc:
                 problem = str(exc)
-            name, time_s = self.sequence.image_paths[i].name, float(self.sequence.timestamps_s[i])
-            yield Frame(name, time_s, image, problem, int(self.sequence.recording[i]), i in wanted, i)
+            time_s, recording = float(self.sequence.timestamps_s[i]), int(self.sequence.recording[i])
+            yield Frame(names[i], time_s, image, problem, recording, i in wanted, i)
+
+
+def frame_names(paths: Sequence[Path]) -> list[str]:
+    """Names of image files; with their folders where recordings have files of one name."""
+    names = [path.name for path in paths]
+    if len(set(names)) == len(names):
+        return names
+    common = Path(os.path.commonpath(paths))
+    return [path.relative_to(common).as_posix() for path in paths]
 
 
 def join_streams(streams: Sequence[FrameStream]) -> FrameStream:

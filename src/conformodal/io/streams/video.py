@@ -161,10 +161,12 @@ class CameraStream:
             if self.camera is not None:
                 capture.set(cv2.CAP_PROP_FRAME_WIDTH, self.camera.width)
                 capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self.camera.height)
+            # the wall clock may be set back or forth while the camera runs
+            started_s = time.time() - time.monotonic()
             for done in count():
                 there, image = capture.read()
                 if not there:
                     raise SourceError(f"{self.name}: gives no more frames after {done}; was it unplugged?")
-                yield Frame(f"camera{self.index}-{done:06d}", time.time(), _rgb(image))
+                yield Frame(f"camera{self.index}-{done:06d}", started_s + time.monotonic(), _rgb(image))
         finally:
             capture.release()
