@@ -32,10 +32,21 @@ def test_lengths_in_units_of_the_data_are_never_called_metres(small_world, tmp_p
     model.set_novelty_level(0.3)
     save_model(model, tmp_path / "model")
     ran = run_ok("run", tmp_path / "model", small_world.folder, "--limit", 30, "--out", out)
-    evaluated = run_ok("evaluate", out, "--truth", out / "truth.tum")
+    assert "its poses are in m, and the model's in units: they are not compared" in " ".join(ran.output.split())
+    assert not (out / "truth.tum").exists()
+    assert "has lengths in m, and the results in units" in refusal("evaluate", out, "--truth", small_world.folder)
+    scaled = run_ok("evaluate", out, "--truth", small_world.folder, "--align", "sim3")
+    assert re.search(r"\d m\b|\(m\)", scaled.output)  # it is scaled to the truth
+    evaluated = run_ok("evaluate", out, "--truth", out / "trajectory.tum")
     for text in (ran.output, evaluated.output, (out / "report.html").read_text()):
         assert "units" in text
         assert not re.search(r"\d m\b|\(m\)", text)
+
+
+def test_a_focal_length_of_a_folder_of_images_is_refused(small_world, tmp_path):
+    found = refusal("run", small_world.model, small_world.folder, "--focal", 150, "--out", tmp_path / "out")
+    assert "--camera and --focal are for videos and devices" in found
+    assert "camera-intrinsics.txt" in found
 
 
 @pytest.mark.slow
@@ -119,6 +130,12 @@ class Recorder:
     def close(self):
         self.open = False
 
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self.close()
+
 
 opened: list[Recorder] = []
 
@@ -141,7 +158,7 @@ class Broken(Recorder):
 
 
 @pytest.mark.usefixtures("recorders")
-@pytest.mark.parametrize(("view", "still_open"), [(NoScreen, [False]), (Broken, [False, True])])
+@pytest.mark.parametrize(("view", "still_open"), [(NoScreen, []), (Broken, [True, False])])
 def test_a_view_that_fails_leaves_no_recording_open(monkeypatch, tmp_path, view, still_open):
     monkeypatch.setattr("conformodal.report.live.LiveView", view)
     sinks = run.frame_sinks("a", 0.1, view=True, save=tmp_path / "a.mcap", images=False)

@@ -120,10 +120,9 @@ def test_images_are_those_of_the_source(recorded, small_world):
 
 def test_lost_frames_and_recordings_apart(make_estimate, tmp_path):
     truth = Trajectory([0.0], [[1, 2, 3.0]], [[0.5, -0.5, 0.5, -0.5]])
-    writer = BagWriter(tmp_path / "deep" / "a.mcap")
-    for i, kind in enumerate([None, EvidenceType.GLOBAL, EvidenceType.UNKNOWN, None, EvidenceType.LANDMARKS]):
-        writer.log(Frame(f"{i}", float(i), None, recording=i // 4), make_estimate(float(i), kind), truth)
-    writer.close()
+    with BagWriter(tmp_path / "deep" / "a.mcap") as writer:
+        for i, kind in enumerate([None, EvidenceType.GLOBAL, EvidenceType.UNKNOWN, None, EvidenceType.LANDMARKS]):
+            writer.log(Frame(f"{i}", float(i), None, recording=i // 4), make_estimate(float(i), kind), truth)
     found = read(tmp_path / "deep" / "a.mcap")
     poses = [message.pose for _, message in found["/conformodal/pose"]]
     lost = [bool(np.array_equal(pose.covariance.reshape(6, 6), np.eye(6) * 1e6)) for pose in poses]
@@ -141,10 +140,12 @@ def test_what_cannot_be_written_is_named(make_estimate, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     with pytest.raises(OSError, match="file"):
         BagWriter(tmp_path / "file" / "a.mcap")
+    (tmp_path / "a.mcap").write_text("an earlier recording")
     writer = BagWriter(tmp_path / "a.mcap")
-    with pytest.raises(RosError, match="a time of ROS"):
-        writer.log(Frame("0", -1.0, None), make_estimate(-1.0))
-    writer.close()
+    writer.log(Frame("0", 1.0, None), make_estimate(1.0))
+    with pytest.raises(RosError, match="a time of ROS"), writer:
+        writer.log(Frame("1", -1.0, None), make_estimate(-1.0))
+    assert (tmp_path / "a.mcap").read_text() == "an earlier recording"
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
     with pytest.raises(MissingPackageError, match=r"pip install 'conformodal\[ros\]'"):
         BagWriter(tmp_path / "b.mcap")

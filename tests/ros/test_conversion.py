@@ -103,6 +103,14 @@ def test_boxes_are_the_region(make_estimate, seed):
     np.testing.assert_allclose(sorted(tuple(np.round(box, 9)) for box in found), np.round(expected, 9), atol=1e-9)
 
 
+def test_boxes_that_are_far_from_the_pose_are_not_drawn(make_estimate, some_candidates):
+    estimate = make_estimate(candidates=some_candidates(np.random.default_rng(0), 60))
+    all_of_them = Conversion().messages(estimate, 0)["region"].markers[1:]
+    near = Conversion(limits=MessageLimits(range_m=1.0)).messages(estimate, 0)["region"].markers[1:]
+    assert 0 < len(near) < len(all_of_them)
+    assert all(min(m.scale.x, m.scale.y, m.scale.z) > 0 for m in near)
+
+
 def test_the_most_probable_boxes_are_kept(make_estimate, some_candidates):
     estimate = make_estimate(candidates=some_candidates(np.random.default_rng(0), 60))
     all_of_them = Conversion().messages(estimate, 0)["region"].markers[1:]

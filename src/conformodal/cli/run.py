@@ -20,6 +20,7 @@ from conformodal.io import Layout
 from conformodal.io.cameras import INTRINSICS, describe_change
 from conformodal.io.decoding import grey_image
 from conformodal.io.recording import as_camera
+from conformodal.io.streams.bag import is_bag
 from conformodal.io.streams.frames import ConvertedStream, FrameStream, RecordingStream, join_streams
 from conformodal.localizer.evidence import FrameEvidence
 from conformodal.pipeline.config import OdometryError
@@ -92,6 +93,10 @@ def run(
             loaded.recalibrate(alpha)
         whole = part is Part.ALL
         lens = loaded.camera if whole and not (camera or focal) else None  # sources without calibration have no parts
+        for one in map(Path, sources) if camera or focal else ():
+            if one.is_dir() and not is_bag(one):
+                how = f"write {INTRINSICS} into it, or leave the option out: then the model's camera is assumed"
+                raise OptionError(f"--camera and --focal are for videos and devices, and {one} is a folder; {how}")
         opened = [open_source(one, layout, topic=topic, as_trained=not whole, camera=lens) for one in sources]
         if camera or focal:
             opened = [_calibrated(loaded, source, camera, focal) for source in opened]
@@ -198,16 +203,15 @@ def frame_sinks(name: str, alpha: object, *, view: bool, save: Path | None, imag
     rerun = None if ros else save
     sinks: list[FrameSink] = []
     with ExitStack() as stack:
-        if ros is not None:
-            from conformodal.ros.bag import BagWriter  # noqa: PLC0415 - an extra
-
-            writer = BagWriter(ros, images=images)
-            stack.callback(writer.close)
-            sinks.append(writer.log)
         if view or rerun is not None:
             from conformodal.report.live import LiveView  # noqa: PLC0415 - an extra
 
             live = LiveView(name, alpha, spawn=view, save=rerun)
             stack.callback(live.close)
             sinks.append(live.log)
+        if ros is not None:
+            from conformodal.ros.bag import BagWriter  # noqa: PLC0415 - an extra
+
+            # closed first: it is not kept after an error
+            sinks.append(stack.enter_context(BagWriter(ros, images=images)).log)
         yield sinks

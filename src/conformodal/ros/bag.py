@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import cv2
 
@@ -23,7 +23,7 @@ class BagWriter:
     """Writes one MCAP file with the messages of every frame of a run.
 
     ROS and Foxglove play an MCAP file by itself, without the rest of the folder that a ROS 2 bag is. It is written to a
-    temporary folder beside its place `path`, and moved there by :meth:`close`. With `images`, images are written
+    temporary folder beside its place `path`, and moved there when the context ends. With `images`, images are written
     too, as JPEG.
     """
 
@@ -69,15 +69,19 @@ class BagWriter:
         for name, message in messages.items():
             self._write(name, message)
 
-    def close(self) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
         """Write the last path, and move the file to its place.
 
-        Without a single frame no file is written, and an existing one stays.
+        Without a single frame, or after an error, no file is written, and an existing one stays.
         """
         try:
-            self._write_path()
-            self._writer.close()
-            for written in self._folder.glob("*.mcap") if self._last_ns is not None else ():
+            if error is None:
+                self._write_path()
+                self._writer.close()
+            for written in self._folder.glob("*.mcap") if error is None and self._last_ns is not None else ():
                 written.replace(self.path)
         finally:
             self._writer.abort()

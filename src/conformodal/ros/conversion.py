@@ -237,7 +237,9 @@ class Conversion:
         here = estimate.pose.position_xyz[:, None]
         places = [(place.box, place.probability) for place in region.places(0)[: self._limits.max_boxes]]
         near = here - self._limits.range_m, here + self._limits.range_m
-        return [(np.clip(box[:3], *near), float(probability)) for box, probability in places if box is not None]
+        boxes = [(box[:3], float(probability)) for box, probability in places if box is not None]
+        seen = [(box, p) for box, p in boxes if ((box[:, :1] < near[1]) & (box[:, 1:] > near[0])).all()]
+        return [(np.clip(box, *near), probability) for box, probability in seen]
 
     def _status(self, estimate: Estimate, header: Any) -> Any:
         """An error for a lost frame, a warning where motion could not be used."""
