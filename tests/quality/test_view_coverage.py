@@ -84,6 +84,12 @@ def test_where_nothing_is_missing_nothing_is_reported(poses):
     assert verdict(found) == "good enough: yes"
 
 
+def test_a_recording_too_short_to_train_on_is_not_good_enough():
+    few = corridor()[:3]
+    found, _ = quality(few, few)
+    assert verdict(found) == "good enough: no, 3 frames in 3 pieces: too few for a blocks split into three parts"
+
+
 def test_turns_that_are_missing_are_found():
     turning = yaw(0.02 * EVERY)
     found, _ = quality(turning, turning[:60])

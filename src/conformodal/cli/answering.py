@@ -115,6 +115,10 @@ def answer_stream(
     stop = StopWhen() if stop is None else stop
     sequence = stream.sequence if isinstance(stream, RecordingStream) else None
     truth, posed = (None, None) if sequence is None else (sequence.poses, sequence.posed)
+    if sequence is not None and not model.same_unit(sequence):
+        units = f"{sequence.unit}, and the model's in {model.configuration['unit']}"
+        report_line(f"{sequence.name}: its poses are in {units}: they are not compared", bold=True)
+        truth, posed = None, None
     odometry, pictures = odometry_of(model), Thumbnails()
     started, number, stopped = time.perf_counter(), 0, ""
     with ResultsWriter(out, answer=odometry.answer) as writer:

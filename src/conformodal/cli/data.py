@@ -17,7 +17,7 @@ from conformodal.io import DatasetError, Layout, Recording, check_recording
 from conformodal.io.check import DatasetCheck
 from conformodal.io.convert import convert_stream
 from conformodal.io.diagnosis.axes import OPENCV, convert_poses, parse_axes, parse_world_axes
-from conformodal.io.frame_table import NO_POSE
+from conformodal.io.frame_table import METRES_PER_UNIT, NO_POSE
 from conformodal.io.recording import as_camera, join_recordings
 from conformodal.io.streams.frames import RecordingStream
 from conformodal.localizer.overlap import Overlap, measure_overlap
@@ -132,8 +132,11 @@ def convert(
     stream = open_source(source, layout, topic=topic)
     if stream.live:
         raise DatasetError(f"{stream.name}: has no end; record a video and convert that")
-    given = stream.sequence.poses if isinstance(stream, RecordingStream) else None
+    given, unit = (stream.sequence.poses, stream.sequence.unit) if isinstance(stream, RecordingStream) else (None, "m")
     truth = given if poses is None else read_poses(poses, time_offset, stream, max_gap)
+    if given is not None and poses is None and unit != "m":
+        how = f"write the metres of one unit into {METRES_PER_UNIT} in its folder"
+        raise DatasetError(f"{stream.name}: has lengths in {unit}, and TUM's layout has them in metres; {how}")
     changed = (axes, world_axes, world_to_camera) != (OPENCV, "x,y,z", False)
     if changed and truth is None:
         raise OptionError(f"--axes, --world-axes and --world-to-camera are for poses, and {stream.name} has none")

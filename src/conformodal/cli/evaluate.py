@@ -60,7 +60,16 @@ def evaluate(
     folder = out / ("evaluation" if alignment is Alignment.NONE else f"evaluation-{alignment}")
     with writing_in(out), lock_output(folder, "evaluate"):
         result = read_run(out)
-        true_poses = _read_truth(truth, layout, time_offset)
+        unit = (result.metrics.get("configuration") or {}).get("unit", "m")
+        if truth.is_dir():
+            sequence = open_sequence(truth, layout, require_poses=True)
+            if alignment is not Alignment.SIM3 and sequence.unit != unit:
+                what = f"has lengths in {sequence.unit}, and the results in {unit}; --align sim3 scales them"
+                raise OdometryError(f"{truth}: {what}")
+            unit, true_poses = sequence.unit, sequence.require_truth()
+            true_poses = replace(true_poses, timestamps_s=true_poses.timestamps_s + time_offset)
+        else:
+            unit, true_poses = "m" if alignment is Alignment.SIM3 else unit, read_poses(truth, time_offset)
         times = result.answer.timestamps_s
         rows, gaps = poses_at(true_poses, times, max_gap)
         posed = np.flatnonzero(np.isfinite(rows).all(axis=1))
@@ -75,14 +84,14 @@ def evaluate(
         errors = {
             name: row | _motion_errors(aligned[name], matched) for name, row in error_table(aligned, matched).items()
         }
-        doubts = doubt_truth(next(iter(aligned.values())), matched)
+        doubts = doubt_truth(next(iter(aligned.values())), matched, unit)
         clock = describe_time_offset(result.answer, true_poses)
         reasons = [f"{truth.name}: {reason}" for reason in (*doubts.reasons, clock) if reason]
         if doubts.positions_only:
             # relative errors need orientations
             errors = {name: {key: row[key] for key in ("rmse_m", "median_m")} for name, row in errors.items()}
         elif alignment in (Alignment.SE3, Alignment.SIM3):
-            reasons += filter(None, [straightness(matched, next(iter(errors.values()))["rmse_m"])])
+            reasons += filter(None, [straightness(matched, next(iter(errors.values()))["rmse_m"], unit)])
         # regions lie in the world of the answer: there the truth is brought by what brings it nearest to the answer
         here = matched if alignment is Alignment.NONE else align(matched, result.answer[posed], alignment)
         coverage = _coverage(
@@ -102,7 +111,6 @@ def evaluate(
             "coverage": coverage,
         }
         write_metrics(folder, evaluation)
-        unit = (result.metrics.get("configuration") or {}).get("unit", "m")
         names = [result.records[i]["frame"] for i in posed]
         _write_frame_errors(folder, names, aligned, matched, unit, positions_only=doubts.positions_only)
     hint = clock_hint(times, true_poses.timestamps_s) if 2 * len(posed) < len(times) else ""
@@ -166,11 +174,3 @@ def _motion_errors(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
         return {}
     metres, degrees = relative_errors(estimate, truth)
     return {"rpe_rmse_m": float(np.sqrt(np.mean(metres**2))), "rpe_rmse_deg": float(np.sqrt(np.mean(degrees**2)))}
-
-
-def _read_truth(path: Path, layout: Layout, offset_s: float) -> Trajectory:
-    """True poses from a TUM file or a data set."""
-    if path.is_dir():
-        poses = open_sequence(path, layout, require_poses=True).require_truth()
-        return replace(poses, timestamps_s=poses.timestamps_s + offset_s)
-    return read_poses(path, offset_s)

@@ -145,18 +145,18 @@ def align(estimate: Trajectory, truth: Trajectory, how: Alignment | str) -> Traj
     return Trajectory(estimate.timestamps_s, s * p @ R.T + t, turned.as_quat(scalar_first=True))
 
 
-def straightness(truth: Trajectory, residual_m: float = 0.0) -> str:
+def straightness(truth: Trajectory, residual_m: float = 0.0, unit: str = "m") -> str:
     """Why aligning to a path leaves the rotation about it open, or nothing.
 
     A path that hardly leaves a line fixes two angles; the third is what makes the errors of the positions smallest.
-    `residual_m` is what is left of these errors after alignment, RMS.
+    `residual_m` is what is left of these errors after alignment, RMS; `unit` that of lengths.
     """
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(truth.positions_xyz.T)), 0))[::-1]
     if spread[1] > max(_STRAIGHT * spread[0], _RESIDUALS * residual_m):
         return ""
     return (
-        f"the path is nearly straight ({spread[0]:.2g} m along, {spread[1]:.2g} m across, RMS): the rotation about it "
-        "is hardly determined, and fitted; where z is up in both worlds, align by yaw"
+        f"the path is nearly straight ({spread[0]:.2g} {unit} along, {spread[1]:.2g} {unit} across, RMS): the rotation "
+        "about it is hardly determined, and fitted; where z is up in both worlds, align by yaw"
     )
 
 

@@ -101,8 +101,7 @@ def check_extension(model: PoseModel, recording: Recording) -> FrameIdentities:
     if 0 < n_posed < len(recording):
         n_without = counted(len(recording) - n_posed, "frame")
         raise OdometryError(f"{name}: {n_without} without a pose; a recording needs one for each, or none at all")
-    if n_posed and recording.unit != model.configuration["unit"]:
-        raise OdometryError(f"{name}: has lengths in {recording.unit}, and the model in {model.configuration['unit']}")
+    model.check_unit(recording)
     try:
         model.check_camera(recording.camera)
     except OdometryError as exc:

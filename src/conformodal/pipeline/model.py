@@ -449,3 +449,13 @@ class PoseModel:
         one, another = (np.array([c.fx, c.fy, c.cx, c.cy]) for c in cameras)
         if mine != other or np.abs(one - another).max() > tolerance * self.camera.width:
             raise OdometryError(f"the model was trained with {self.camera}, the source has {camera}")
+
+    def same_unit(self, recording: Recording) -> bool:
+        """Whether the lengths of a recording are in the model's unit; also of one without poses."""
+        return recording.poses is None or recording.unit == self.configuration["unit"]
+
+    def check_unit(self, recording: Recording) -> None:
+        """Refuse a recording whose poses are in another unit."""
+        if not self.same_unit(recording):
+            here, there = recording.unit, self.configuration["unit"]
+            raise OdometryError(f"{recording.name}: has lengths in {here}, and the model in {there}; scale one")

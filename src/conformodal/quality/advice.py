@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from conformodal.core.words import counted, finite_or_none, length
+from conformodal.io import SplitError, SplitKind, make_split
 from conformodal.localizer.regions import EvidenceType
 from conformodal.pipeline.guarantee import WHERE, EvidenceGuarantee
 
@@ -18,6 +19,11 @@ from .view_coverage import QUALITY, Stretch
 def verdict(quality: RecordingQuality) -> str:
     """Whether the recording is good enough: yes, yes with an exception, or no."""
     unbounded, coverage, places = _unbounded(quality), quality.coverage, quality.ambiguity
+    if places is None and not quality.guarantees:  # without a model
+        try:
+            make_split(quality.sequence.recording[quality.posed], SplitKind.BLOCKS)
+        except SplitError as exc:
+            return f"good enough: no, {exc}"
     if unbounded:
         return f"good enough: no, {unbounded[0].describe()}"
     weak = []

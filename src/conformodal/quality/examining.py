@@ -67,6 +67,7 @@ def examine(
         trained, views, depth_m = posed, poses, median_depth(sequence)
     else:
         model.check_camera(sequence.camera)
+        model.check_unit(sequence)
         trained = frames = model.localizer.frames
         if not just_trained:
             trained = model.known_frames.find(identify(sequence))[frames]

@@ -27,15 +27,18 @@ class TruthDoubts:
     reasons: tuple[str, ...]  # one sentence each; empty where nothing is doubtful
 
 
-def doubt_truth(estimate: Trajectory, truth: Trajectory) -> TruthDoubts:
-    """Doubts about the orientations of a truth, and about the body that it is of, of poses (n,) of the same frames."""
+def doubt_truth(estimate: Trajectory, truth: Trajectory, unit: str = "m") -> TruthDoubts:
+    """Doubts about the orientations of a truth, and about the body that it is of, of poses (n,) of the same frames.
+
+    `unit` is that of lengths.
+    """
     if len(truth) < 2:
         return TruthDoubts(False, ())
     far, true_far = (float(np.linalg.norm(np.ptp(path.positions_xyz, axis=0))) for path in (estimate, truth))
-    for unit, factor in _UNITS.items():
+    for other, factor in _UNITS.items():
         if 0.7 * factor * far < true_far < 1.4 * factor * far:
             times = f"it reaches {true_far:.3g} where the estimate reaches {far:.3g}"
-            return TruthDoubts(False, (f"{times}: its positions seem to be in {unit}, expected metres",))
+            return TruthDoubts(False, (f"{times}: its positions seem to be in {other}, expected metres",))
     rotations = [Rotation.from_quat(path.orientations_quat_wxyz, scalar_first=True) for path in (estimate, truth)]
     turns_deg = [np.degrees((r[0].inv() * r).magnitude()) for r in rotations]
     if turns_deg[1].max() < _SAME_DEG and np.median(turns_deg[0]) > _TURNS_DEG:
@@ -44,7 +47,7 @@ def doubt_truth(estimate: Trajectory, truth: Trajectory) -> TruthDoubts:
     doubts = (
         _doubt_repeats(estimate, truth),
         _doubt_orientations(*rotations),
-        _doubt_body(rotations[0], estimate, truth),
+        _doubt_body(rotations[0], estimate, truth, unit),
     )
     return TruthDoubts(False, tuple(filter(None, doubts)))
 
@@ -102,7 +105,7 @@ def _doubt_orientations(estimate: Rotation, truth: Rotation) -> str:
     )
 
 
-def _doubt_body(turns: Rotation, estimate: Trajectory, truth: Trajectory) -> str:
+def _doubt_body(turns: Rotation, estimate: Trajectory, truth: Trajectory, unit: str) -> str:
     """Whether the truth lies at a constant place beside the estimate, in the frame of the camera or of the world."""
     apart = truth.positions_xyz - estimate.positions_xyz
 
@@ -119,7 +122,5 @@ def _doubt_body(turns: Rotation, estimate: Trajectory, truth: Trajectory) -> str
     cause = "is of another body of the rig; give the camera's poses"
     if where == "world":
         cause = "is of another world; align it (--align se3)"
-    return (
-        f"it lies a constant {offset_m:.2g} m from the estimate, in the frame of the {where} ({left[where]:.1g} m are "
-        f"left, median): it {cause}"
-    )
+    frame = f"in the frame of the {where} ({left[where]:.1g} {unit} are left, median)"
+    return f"it lies a constant {offset_m:.2g} {unit} from the estimate, {frame}: it {cause}"
