@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conformodal.conformal import QuantileBins, Regions, SplitConformal, diagnose
+from conformodal.conformal import ConformalRegressor, DataWarning, QuantileBins, Regions, SplitConformal, diagnose
 from conformodal.conformal.diagnosis import summarise_sizes
 
 
@@ -46,6 +46,35 @@ def test_a_diagnosis_reports_a_broken_guarantee():
     cal, proba, y = problem("none")
     cal.thresholds_ = cal.thresholds_ - 1.5
     assert "BELOW" in str(diagnose(cal, proba, y))
+
+
+def test_there_is_no_band_where_units_calibrate():
+    """Rows of a unit are alike: the law of exchangeable rows would be violated in every other test."""
+    rng = np.random.default_rng(0)
+    bins = QuantileBins(20).fit(rng.normal(size=1000))
+    proba = np.full((300, 20), 0.05)
+    units = np.repeat(np.arange(30), 10)
+    y = np.repeat(rng.normal(size=30), 10)
+    cal = SplitConformal(bins, 0.1, "density").calibrate(proba, y, units)
+    found = diagnose(cal, proba[:100], np.repeat(rng.normal(size=10), 10), np.arange(100) % 2)
+    text = str(found)
+    assert "300 calibration (of 30 units) and 100 test samples" in text
+    assert "band  " not in text
+    assert "there is no exact band" in " ".join(text.split())
+    assert all(check.inside for _, check in found.columns[0].rows())
+
+
+def test_rows_of_a_kind_never_learnt_are_checked_as_predicted():
+    rng = np.random.default_rng(1)
+    X = rng.normal(size=(700, 2))
+    y = X[:, 0] + 3 * X[:, 1] + rng.normal(0, 0.1, 700)
+    reg = ConformalRegressor("quick", random_state=0).fit(X[:500], y[:500])
+    new = X[500:].copy()
+    new[:80, 1] = np.nan  # no value was missing in training
+    with pytest.warns(DataWarning, match="unlike those of fit"):
+        found, regions = reg.diagnose(new, y[500:]), reg.predict_region(new)
+    assert found.sizes[0].unbounded == regions.unbounded.mean() == 0.4
+    assert found.columns[0].coverage.coverage == regions.contains(y[500:]).mean()
 
 
 def test_group_bands_hold_simultaneously():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,11 @@ _ASSUMPTION = (
     "{bands} if the calibration and test samples{of_each_group} are exchangeable (split at random, say), neither was "
     "learnt from, and scores have no ties. Outside, at least one of these assumptions is likely violated. For samples "
     "in a sequence, such as frames of a video, coverage is an observation, not a guarantee."
+)
+_OF_UNITS = (
+    "Units calibrate, so that rows are not exchangeable one by one: a random row of a new unit is covered with the "
+    "probability asked for, and there is no exact band. With {units} the coverage of one test may differ by several "
+    "hundredths, most where rows of a unit are alike."
 )
 _NOT_BY_GROUP = (
     " Nothing is guaranteed for a group by itself: outside its band, its sets are too small (BELOW) or too large "
@@ -99,6 +105,7 @@ class Diagnosis:
     names, sizes : the targets' names, and summaries of the sizes of their sets
     joint_coverage : share of test samples whose targets are all in their sets
     alpha, joint, score, n_calibration, n_test : of the calibration and the test
+    n_units : of the units that calibrate; None where single samples do. With units no band is exact, and all are 0 to 1
     within_groups : whether coverage is guaranteed within each group
     level : probability with which all bands hold at once
     """
@@ -114,6 +121,7 @@ class Diagnosis:
     n_test: int
     within_groups: bool
     level: float
+    n_units: int | None = None
 
     @property
     def n_bands(self) -> int:
@@ -121,9 +129,10 @@ class Diagnosis:
         return sum(1 + len(column.parts) for column in self.columns)
 
     def __str__(self) -> str:
+        of_units = "" if self.n_units is None else f" (of {counted(self.n_units, 'unit')})"
         lines = [
             f"Conformal sets at alpha = {self.alpha}: score {self.score}, joint {self.joint}; "
-            f"{self.n_calibration} calibration and {counted(self.n_test, 'test sample')}.",
+            f"{self.n_calibration} calibration{of_units} and {counted(self.n_test, 'test sample')}.",
             "",
         ]
         width = max([12, *map(len, self.names)])
@@ -137,7 +146,7 @@ class Diagnosis:
         if any(0 < s.unbounded < 1 for s in self.sizes):
             lines.append("The mean length is that of the bounded sets.")
         for column in self.columns:
-            lines += ["", *_table(column, self.level)]
+            lines += ["", *_table(column, None if self.n_units is not None else self.level)]
         if len(self.names) > 1 and self.joint != "max":  # with max, the coverage above is of all targets
             least = "" if self.joint == "none" else f" (guaranteed on average: at least {1 - float(self.alpha):.4g})"
             lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{least}."]
@@ -146,7 +155,9 @@ class Diagnosis:
             bands=f"{bands} with probability {100 * self.level:g} %",
             of_each_group=" of each group" if self.within_groups else "",
         )
-        grouped = any(column.parts for column in self.columns)
+        if self.n_units is not None:
+            caveat = _OF_UNITS.format(units=counted(self.n_units, "unit"))
+        grouped = self.n_units is None and any(column.parts for column in self.columns)
         caveat += _NOT_BY_GROUP * (grouped and not self.within_groups) + _EMPTY * any(s.empty for s in self.sizes)
         return "\n".join([*lines, "", *textwrap.wrap(caveat, 110)])
 
@@ -155,13 +166,16 @@ def _percent(share: float) -> str:
     return "<1%" if 0 < share < 0.005 else f"{share:.0%}"
 
 
-def _table(column: ColumnDiagnosis, level: float) -> list[str]:
+def _table(column: ColumnDiagnosis, level: float | None) -> list[str]:
+    """Lines of the coverage of all samples and of groups; with the bands of a level, if there are some."""
     rows = column.rows()
     width = max(len(label) for label, _ in rows)
-    lines = [f"coverage of {column.name}", f"  {'':{width}}  samples  coverage  {100 * level:g}% band"]
+    heading = "" if level is None else f"  {100 * level:g}% band"
+    lines = [f"coverage of {column.name}", f"  {'':{width}}  samples  coverage{heading}"]
     for label, c in rows:
         mark = "within" if c.inside else "BELOW" if c.coverage < c.low else "above"
-        lines.append(f"  {label:{width}}  {c.n_test:7d}  {c.coverage:8.3f}  [{c.low:.3f}, {c.high:.3f}]  {mark}")
+        band = "" if level is None else f"  [{c.low:.3f}, {c.high:.3f}]  {mark}"
+        lines.append(f"  {label:{width}}  {c.n_test:7d}  {c.coverage:8.3f}{band}")
     return [*lines, *filter(None, [column.rest()])]
 
 
@@ -171,6 +185,7 @@ def diagnose(
     y: npt.ArrayLike,
     groups: npt.ArrayLike | None = None,
     level: float = 0.99,
+    regions: Regions | None = None,
 ) -> Diagnosis:
     """Check a calibration on test samples that it has not seen; for an example see ``docs/tutorial.md``.
 
@@ -185,14 +200,18 @@ def diagnose(
         then those of its groups.
     level
         Probability with which all bands hold at once, by Bonferroni's inequality.
+    regions
+        Of the test samples, if they are others than the calibrator's: rows of a kind never learnt are unbounded.
     """
     values = as_targets(y, n_targets=calibrator.bins.n_targets)
-    if isinstance(calibrator, SplitConformal):
-        regions = calibrator.predict(proba)
-    elif groups is None:
-        raise ConformodalError("groups are needed to check a MondrianConformal")
+    if isinstance(calibrator, MondrianConformal):
+        if groups is None:
+            raise ConformodalError("groups are needed to check a MondrianConformal")
+        n_units, predicted = None, partial(calibrator.predict, proba, groups)
     else:
-        regions = calibrator.predict(proba, groups)
+        n_units = None if calibrator.units_ is None else calibrator.n_units
+        predicted = partial(calibrator.predict, proba)
+    regions = predicted() if regions is None else regions
     inside = regions.contains(values)
     names = tuple(calibrator.bins.names or [f"target {j}" for j in range(values.shape[1])])
     guarantees = zip(names, inside.T, strict=True)
@@ -214,6 +233,7 @@ def diagnose(
         len(values),
         isinstance(calibrator, MondrianConformal),
         level,
+        n_units,
     )
 
 
@@ -228,6 +248,11 @@ def _column(
         f"group {label}": check_coverage(held[codes == k], of_group.get(label, 0), *law)
         for k, label in enumerate(labels)
     }
+    if (
+        isinstance(calibrator, SplitConformal) and calibrator.units_ is not None
+    ):  # the law of exchangeable samples does not apply
+        by_group = {label: replace(check, low=0.0, high=1.0) for label, check in by_group.items()}
+        return ColumnDiagnosis(name, replace(whole, low=0.0, high=1.0), by_group)
     if isinstance(calibrator, MondrianConformal):
         pairs = [(check.n_calibration, check.n_test) for check in by_group.values()]
         low, high = grouped_coverage_band(pairs, *law)

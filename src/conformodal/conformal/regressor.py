@@ -355,7 +355,9 @@ class ConformalRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         Takes samples neither learnt from nor calibrated on; the other parameters are those of
         :func:`~conformodal.conformal.diagnose`.
         """
-        return diagnose(self._calibrated(), self.predict_bins(X), self._table(X, y)[1], groups, level)
+        calibrator, (proba, unlike) = self._calibrated(), self._compared(X)
+        regions = self.regions_of(proba, unlike, None, groups if isinstance(calibrator, MondrianConformal) else None)
+        return diagnose(calibrator, proba, self._table(X, y)[1], groups, level, regions)
 
     def save(self, path: str | Path) -> None:
         """Write the regressor into a file, with the extra ``save``: skops, which needs no pickle.
