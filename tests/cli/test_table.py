@@ -4,13 +4,14 @@ import json
 import re
 import sys
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from conformodal.cli import table_predict
-from conformodal.cli.table import choose_columns, doubt_targets
+from conformodal.cli.table import RowSplit, _split_rows, choose_columns, doubt_targets
 from conformodal.cli.table_csv import CsvFormat, TableError, read_table
 from conformodal.conformal import ConformalRegressor
 from conformodal.conformal.tables import as_inputs
@@ -208,7 +209,7 @@ def test_omitted_totals_and_index_are_reported(at, label):
     assert at not in X.index
     assert len(X) == 99
     assert list(X) == ["ward", "age"]
-    assert f"line {at}, which holds totals" in " ".join(lines)
+    assert f"1 row with totals of the others (lines {at})" in " ".join(lines)
     assert "column 1 (an index)" in " ".join(lines)
 
 
@@ -325,10 +326,10 @@ def test_a_saved_model_matches_columns_by_name(tmp_path, monkeypatch, kind):
     gaps = shuffled.assign(site=shuffled["site"].where(np.arange(15) != 2))
     (gaps.to_csv if kind == "csv" else gaps.to_parquet)(tmp_path / f"gaps.{kind}", index=False)
     told = run_ok(
-        "table", "predict", tmp_path / "reg.cm", tmp_path / f"gaps.{kind}", "--out", tmp_path / "gaps.parquet"
+        "table", "predict", tmp_path / "reg.cm", tmp_path / f"gaps.{kind}", "--out", tmp_path / "filled.parquet"
     )
     assert "site is missing in 1" in told.output
-    ends = parquet.read_table(tmp_path / "gaps.parquet").to_pandas()["count_high"]
+    ends = parquet.read_table(tmp_path / "filled.parquet").to_pandas()["count_high"]
     np.testing.assert_array_equal(ends, np.where(np.arange(15) == 2, np.inf, result["count_high"]))
     run_ok("table", "predict", tmp_path / "reg.cm", tmp_path / f"new.{kind}", "--out", tmp_path / "out.csv")
     text = pd.read_csv(tmp_path / "out.csv")
@@ -446,8 +447,8 @@ def test_missing_value_words_are_labels_in_text_columns(tmp_path, case):
     frame, notes = read_table(tmp_path / "t.csv")
     assert [None if pd.isna(value) else value for value in frame["v"]] == expected
     assert [note for note in notes if note.startswith("v: ")] == [note for note in notes if told and told in note]
-    again, _ = read_table(tmp_path / "t.csv", CsvFormat(labels=["v"], verbatim=["x"]))
-    assert again["v"].notna().sum() == {"a gap in numbers": 2, "a gap beside gaps": 2}.get(case, 3)
+    again, _ = read_table(tmp_path / "t.csv", CsvFormat(kinds={"v": "text with NA"}, verbatim=["x"]))
+    assert again["v"].notna().sum() == (2 if case == "a gap beside gaps" else 3)
     assert again["x"].tolist() == ["0", "1", "2"]
 
 
@@ -463,3 +464,204 @@ def test_identifiers_are_copied_as_they_are_written(tmp_path):
     run_ok("table", "predict", tmp_path / "m.cm", tmp_path / "t.csv", "--out", tmp_path / "r.parquet")
     result = parquet.read_table(tmp_path / "r.parquet").to_pandas()
     assert {name: result[name].tolist() for name in ids} == ids
+
+
+def as_read(table):
+    """How a file is written that is read as one before it, by its table."""
+    form = table.attrs["format"]
+    return CsvFormat(kinds=form["kinds"], missing=form["missing"])
+
+
+ORDERS = {
+    "month first, beside semicolons": ("d,x\n02/13/2024,1\n", "d;x\n03/04/2024;1\n", "2024-03-04"),
+    "month first, with points": ("d,x\n02/13/2024,1\n", "d,x\n03.04.2024,1\n", "2024-03-04"),
+    "month first by default": ("d,x\n02/03/2024,1\n", "d;x\n03/04/2024;1\n", "2024-03-04"),
+    "day first, beside commas": ("d;x\n03/04/2024;1\n", "d,x\n03/04/2024,1\n", "2024-04-03"),
+    "day first, and another proof": ("d;x\n03/04/2024;1\n", "d,x\n03/04/2024,1\n03/13/2024,1\n", "2024-03-04"),
+    "no order in years first": ("d;x\n2024-02-03;1\n", "d,x\n03/04/2024,1\n", "2024-03-04"),
+    "no order in names of months": ("d;x\n3-Feb-2024;1\n", "d,x\n03/04/2024,1\n", "2024-03-04"),
+}
+
+
+@pytest.mark.parametrize("case", ORDERS)
+def test_the_order_of_dates_is_that_learnt_from(tmp_path, case):
+    before, new, expected = ORDERS[case]
+    learnt, _ = read_table(written(tmp_path, before))
+    values, _ = read_table(written(tmp_path, new), as_read(learnt))
+    assert values["d"].iloc[0] == pd.Timestamp(expected)
+
+
+@pytest.fixture(scope="module")
+def learnt(short_fits, tmp_path_factory):
+    """A saved regressor of a file with codes, months first, and two words for missing values."""
+    pytest.importorskip("skops")
+    pytest.importorskip("pyarrow")
+    rng, folder = np.random.default_rng(0), tmp_path_factory.mktemp("learnt")
+    x = rng.uniform(0, 10, 200).round(3)
+    table = pd.DataFrame({"x": x, "code": rng.choice(["12", "13", "14a"], 200)})
+    table["state"] = rng.choice(["good", "poor", "NA", ""], 200)
+    table["size"] = np.where(np.arange(200) % 40, rng.normal(size=200).round(2).astype(str), "n/k")
+    table["sold"] = (pd.Timestamp("2023-01-01") + pd.to_timedelta(rng.integers(0, 365, 200), "D")).strftime("%m/%d/%Y")
+    table.assign(y=(3 * x + rng.normal(size=200)).round(3)).to_csv(folder / "old.csv", index=False)
+    run_ok("table", "fit", folder / "old.csv", "--target", "y", "--model", folder / "model.cm")
+    return folder / "model.cm"
+
+
+@pytest.mark.parametrize("size", ["n/k", "", "0.5"])
+def test_new_rows_are_read_as_those_learnt_from(learnt, tmp_path, size):
+    file, out = tmp_path / "new.csv", tmp_path / "out.csv"
+    file.write_text(f"x;code;state;size;sold;y\n1.5;12;NA;{size};03/04/2023;5\n2.5;13;NA;{size};05/06/2023;8\n")
+    run_ok("table", "predict", learnt, file, "--out", out)
+    sold = pd.to_datetime(["2023-03-04", "2023-05-06"])
+    gaps = {"state": [None, None], "size": [float(size) if size == "0.5" else np.nan] * 2}
+    typed = pd.DataFrame({"x": [1.5, 2.5], "code": ["12", "13"], **gaps, "sold": sold})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        expected = ConformalRegressor.load(learnt).predict_table(typed)
+    assert expected[["y_low", "y_high"]].abs().to_numpy().max() < 100  # no row has a label that is new
+    columns = ["y", "y_low", "y_high"]
+    np.testing.assert_allclose(pd.read_csv(out)[columns], expected[columns], rtol=1e-12)
+    assert json.loads(run_ok("monitor", learnt, file, "--json").stdout)["n_new"] == 2
+
+
+def test_text_in_a_column_of_numbers_stays_refused(learnt, tmp_path):
+    file = tmp_path / "new.csv"
+    for size in ("many", "2023-03-04"):
+        file.write_text(f"x,code,state,size,sold\n1.5,12,good,{size},03/04/2023\n")
+        assert f"size held numbers or dates in training, got ['{size}']" in refusal(
+            "table", "predict", learnt, file, "--out", tmp_path / "out.csv"
+        )
+
+
+def test_models_of_files_without_kinds_are_still_read():
+    csv = {"decimal": ",", "day_first": ["sold"], "labels": ["state"], "dates": {"due": "%d%m%y"}}
+    old = SimpleNamespace(file_format_={"identifiers": ["id"], "csv": csv}, columns_=["sold", "state"])
+    form = table_predict.as_learnt(old, CsvFormat(dates={"paid": "%Y"}))
+    assert form.kinds == {"sold": "day first", "state": "text with NA"}
+    assert form.dates == {"due": "%d%m%y", "paid": "%Y"}
+    assert (form.decimal, form.missing, form.verbatim) == (",", {}, ["id"])
+
+
+def test_undated_rows_are_the_first_in_time(capsys):
+    days = pd.Series(pd.date_range("2024-01-01", periods=20)).where(np.arange(20) % 4 > 0)
+    X = pd.DataFrame({"sold": days[::-1].to_numpy()})
+    test, train = _split_rows(X, None, RowSplit.TIME, np.random.default_rng(0))
+    assert sorted([*test, *train]) == [*range(20)]
+    assert X["sold"].iloc[test].min() > X["sold"].iloc[train].max()
+    assert X["sold"].iloc[train[:5]].isna().all()
+    assert "note: 5 rows without sold taken as the first in time" in capsys.readouterr().out
+
+
+def zero_heavy(n=1000):
+    y = np.zeros(n)
+    y[[5, 9, 700, 701]] = 100, 200, 100, 400
+    return pd.DataFrame({"kind": np.resize(["a", "b"], n), "y": y})
+
+
+def labelled(label, rows, n=1000):
+    rng = np.random.default_rng(0)
+    table = pd.DataFrame({"kind": np.resize(["a", "b"], n).astype(object), "y": rng.normal(size=n)})
+    table.loc[rows, "kind"] = label
+    return table
+
+
+@pytest.mark.parametrize(
+    ("table", "noted"),
+    [
+        pytest.param(labelled("Somme", [3, 8, 999]), "3 rows with 'Somme' (lines 3, 8, 999) used", id="department"),
+        pytest.param(labelled("Average", [7]), "1 row with 'Average' (lines 7) used", id="one label inside"),
+        pytest.param(labelled("Total Energies", [*range(990, 1000)]), "992, 993, 994, ...) used", id="sorted labels"),
+        pytest.param(zero_heavy(), "", id="zeros"),
+        pytest.param(zero_heavy().assign(z=-1.797693e308), "", id="sums that overflow"),
+    ],
+)
+def test_real_rows_are_not_taken_as_totals(table, noted):
+    X, _, lines = choose_columns(table, ["y"], None, "f")
+    assert len(X) == len(table)
+    assert noted in " ".join(lines)
+    assert "totals of the others" not in " ".join(lines)
+
+
+def test_labels_of_totals_end_the_rows():
+    table = labelled("Total", [998])
+    table.loc[999, "kind"] = "Mean"
+    X, _, lines = choose_columns(table, ["y"], None, "f")
+    assert len(X) == 998
+    assert "2 rows with totals of the others (lines 998, 999)" in " ".join(lines)
+
+
+@pytest.mark.parametrize("targets", [["temp", "temp_low"], ["row"]])
+def test_targets_whose_regions_share_columns_are_refused(tmp_path, targets):
+    options = [option for name in targets for option in ("--target", name)]
+    told = refusal("table", "fit", tmp_path / "t.csv", *options, "--model", tmp_path / "m.cm")
+    assert f"lead to several columns ['{targets[-1]}']" in told
+
+
+def plain_file(path, **more):
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=60).round(3)
+    table = pd.DataFrame({"x": x, "y": (x + 0.1 * rng.normal(size=60)).round(3), **more})
+    (table.to_parquet if path.suffix == ".parquet" else table.to_csv)(path, index=False)
+
+
+def test_copied_columns_never_hide_those_of_regions(tmp_path):
+    pytest.importorskip("skops")
+    file = tmp_path / "t.csv"
+    plain_file(file, row=np.arange(60) + 1, y_low=np.arange(60) + 100, row_in_file=np.arange(60) + 200)
+    run_ok("table", "fit", file, "--target", "y", "--model", tmp_path / "m.cm")
+    told = run_ok("table", "predict", tmp_path / "m.cm", file, "--out", tmp_path / "r.csv").output
+    assert "renamed: row to row_in_file_in_file and y_low to y_low_in_file" in told
+    result = pd.read_csv(tmp_path / "r.csv")
+    assert list(result)[:4] == ["row", "row_in_file_in_file", "y_low_in_file", "row_in_file"]
+    assert result.iloc[0, :4].tolist() == [0, 1, 100, 200]
+    assert result["y_low"].max() < 5
+
+
+def test_copied_lists_are_written_as_json(tmp_path):
+    pytest.importorskip("skops")
+    pytest.importorskip("pyarrow")
+    file = tmp_path / "t.parquet"
+    plain_file(file, tags=[[k, k + 1] for k in range(59)] + [None])
+    run_ok("table", "fit", file, "--target", "y", "--exclude", "tags", "--model", tmp_path / "m.cm")
+    run_ok("table", "predict", tmp_path / "m.cm", file, "--out", tmp_path / "r.csv")
+    tags = pd.read_csv(tmp_path / "r.csv")["tags"]
+    assert tags.iloc[3] == "[3, 4]"
+    assert pd.isna(tags.iloc[59])
+
+
+def test_predict_never_replaces_the_file_that_it_reads(tmp_path):
+    file = written(tmp_path, "x,y\n1,2\n")
+    assert "is the file to predict" in refusal("table", "predict", tmp_path / "m.cm", file, "--out", file)
+    assert file.read_text() == "x,y\n1,2\n"
+
+
+@pytest.mark.parametrize("text", ["x,y\n5,\n6,\n7,\n8,9\n", "x;y\n5,5;\n6,5;\n7,5;\n8,5;9\n"])
+def test_a_sparse_last_column_keeps_its_separator(tmp_path, text):
+    values, _ = read_table(written(tmp_path, text))
+    np.testing.assert_array_equal(values["y"], [np.nan, np.nan, np.nan, 9])
+    assert values["x"].notna().all()
+
+
+@pytest.mark.parametrize("kind", [float, "str"])
+def test_a_target_without_values_is_refused(kind):
+    table = frame().assign(dose=pd.Series([None] * 100, dtype=kind))
+    with pytest.raises(TableError, match=r"f: target 'dose' holds no values$"):
+        choose_columns(table, ["dose"], None, "f")
+
+
+def test_columns_of_parquet_may_be_named_by_numbers(tmp_path):
+    pytest.importorskip("pyarrow")
+    pd.DataFrame(np.random.default_rng(0).normal(size=(60, 2))).to_parquet(tmp_path / "t.parquet")
+    assert "target: 1" in run_ok("table", tmp_path / "t.parquet", "--target", "1").output
+
+
+def test_named_levels_of_a_parquet_index_are_columns(tmp_path):
+    pytest.importorskip("pyarrow")
+    table = pd.DataFrame({"city": "a", "day": pd.date_range("2024-01-01", periods=3), "x": [1.0, 2.0, 3.0]})
+    for index in (["day"], ["city", "day"]):
+        table.set_index(index).to_parquet(tmp_path / "t.parquet")
+        values, _ = read_table(tmp_path / "t.parquet")
+        assert sorted(values) == ["city", "day", "x"]
+        assert values["day"].tolist() == table["day"].tolist()
+    table.set_index(pd.Index([5, 6, 7])).to_parquet(tmp_path / "t.parquet")
+    assert list(read_table(tmp_path / "t.parquet")[0]) == ["city", "day", "x"]

@@ -355,3 +355,49 @@ def test_a_time_in_another_time_zone_is_the_same_time():
         np.testing.assert_array_equal(reg.predict(X.assign(at=X["at"].dt.tz_convert(zone))), expected)
         objects = pd.Series([t.to_pydatetime() for t in X["at"].dt.tz_convert(zone)], X.index, dtype=object)
         np.testing.assert_array_equal(reg.predict(X.assign(at=objects)), expected)
+
+
+@pytest.mark.parametrize("as_table", [lambda x: x, lambda x: pd.DataFrame(x, columns=["a", "b"])])
+@pytest.mark.parametrize("value", [1e39, -1.797693e308])
+def test_numbers_beyond_float32_are_refused_by_name(as_table, value):
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(60, 2))
+    y, far = x[:, 0] + rng.normal(size=60), x.copy()
+    far[3, 1] = value
+    reg, name = ConformalRegressor(random_state=0), "b" if hasattr(as_table(x), "columns") else "1"
+    with pytest.raises(ConformodalError, match=rf"^column {name} must hold numbers .* got {re.escape(f'{value:.7g}')}"):
+        reg.fit(as_table(far), y)
+    reg.fit(as_table(x), y)
+    with pytest.raises(ConformodalError, match=f"^column {name} must hold numbers"):
+        reg.predict(as_table(far))
+
+
+def test_a_column_without_values_is_missing_of_any_type():
+    encoder = TableEncoder().fit(pd.DataFrame({"a": [1.0, np.nan, 5.0]}))
+    for dtype in (float, object, "str"):
+        empty = pd.DataFrame({"a": pd.Series([None, None], dtype=dtype)})
+        np.testing.assert_array_equal(encoder.transform(empty), [[3, 1], [3, 1]])
+
+
+def test_predict_table_takes_columns_named_by_numbers():
+    pytest.importorskip("pyarrow")
+    rng = np.random.default_rng(0)
+    table = pd.DataFrame(rng.normal(size=(200, 2))).assign(**{"2": rng.choice(["a", "b"], 200)})
+    table.columns = [0, 1, 2]
+    y = table[0] + rng.normal(size=200)
+    for groups in (None, table[2]):
+        reg = tree().fit(table[[0, 1]], y, groups=groups)
+        result, regions = (
+            reg.predict_table(table[:9]),
+            reg.predict_region(table.loc[:8, [0, 1]], groups=groups[:9] if groups is not None else None),
+        )
+        np.testing.assert_array_equal(result["target 0_low"], regions.hull[:, 0, 0])
+
+
+def test_targets_whose_columns_coincide_are_refused():
+    pytest.importorskip("pyarrow")
+    X, y = frame()
+    numbers = X[["age"]].fillna(50)
+    reg = tree().fit(numbers, pd.DataFrame({"dose": y, "dose_low": y - 1}))
+    with pytest.raises(ConformodalError, match=r"lead to several columns \['dose_low'\]; rename a target"):
+        reg.predict_table(numbers)

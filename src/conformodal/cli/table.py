@@ -30,12 +30,12 @@ from conformodal.core.words import counted, listed, readable
 from .console import OUTPUT_PANEL, AsJson, Group, Quiet, print_json, report_line, warning_lines
 from .table_csv import TableError, read_table
 from .table_options import DateFormats, DecimalMark, NaValues, Separator, ThousandsMark
-from .table_predict import named_format, predict
+from .table_predict import named_format, predict, region_columns
 
 _FEWEST_ROWS = 50  # a fifth is tested, and a fifth of the rest calibrates
 _SHOWN, _NAMED, _MAX_DRAWN = 3, 20, 200  # rows, columns, rows of a picture
 _MAX_MISSING, _MAX_DISTINCT = 0.5, 0.9
-_OUTLYING, _FEW_TOTALS = 10, 0.02  # medians that a sum exceeds, share of rows called totals
+_OUTLYING, _FEW_TOTALS = 10, 0.02  # medians that a sum exceeds, share of rows that may be totals by their labels
 _MAX_SOLVED, _ROWS_SOLVED, _TINY = 100, 1000, 1e-6  # columns and rows of an equation for the target; its error
 _PICTURES = (".svg", ".png", ".pdf")
 _INDEX = r"column 1|index|Unnamed: \d+"  # the first of them stands for no name
@@ -98,7 +98,7 @@ def fit(
     """Learn columns of a CSV file from the others; print regions of unseen rows and their coverage."""
     if question := doubt_alpha(alpha):
         raise TableError(question)
-    _check_outputs(plot, model)
+    _check_outputs(plot, model, target)
     if unit is not None and (group or split is RowSplit.TIME):
         raise TableError("--unit cannot be used with --group or --split time")
     named = named_format(sep, decimal, thousands, na_values, date)
@@ -132,7 +132,7 @@ def fit(
     elif X.select_dtypes("datetime").shape[1]:
         about += "; for that of the last rows in time: --split time"
     report_line(f"coverage below is that of {about}")
-    diagnosis = diagnose(reg.calibrator_, proba, y.iloc[test].to_numpy(), test_groups)
+    diagnosis = diagnose(reg.calibrator_, proba, y.iloc[test].to_numpy(), test_groups, regions=regions)
     for line in str(diagnosis).splitlines():
         report_line(line)
     if split is RowSplit.TIME and any(
@@ -144,7 +144,7 @@ def fit(
         reg.file_format_ = {
             "identifiers": [str(name) for name in others if others[name].nunique() > 1],
             "csv": {name: getattr(named, name) for name in ("decimal", "thousands", "na_values", "dates")}
-            | {name: form[name] for name in ("day_first", "labels")},
+            | {name: form[name] for name in ("kinds", "missing")},
             "units": form["units"],
         }
         reg.save(model)
@@ -167,8 +167,12 @@ def _split_rows(
 ) -> tuple[AnyArray, AnyArray]:
     """Positions of a fifth of the rows, to test on, and of the others: whole units, or the last in time."""
     if split is RowSplit.TIME:
-        dates = X.select_dtypes("datetime")
-        order = dates.iloc[:, 0].argsort(kind="stable").to_numpy() if dates.shape[1] else np.arange(len(X))
+        order, dates = np.arange(len(X)), X.select_dtypes("datetime")
+        if dates.shape[1]:
+            times = dates.iloc[:, 0].to_numpy()
+            order = np.lexsort((times, ~np.isnat(times)))  # rows without a date are the first, which are learnt from
+            if n_undated := int(np.isnat(times).sum()):
+                report_line(f"note: {counted(n_undated, 'row')} without {dates.columns[0]} taken as the first in time")
         return order[len(X) - len(X) // 5 :], order[: len(X) - len(X) // 5]
     if units is None:
         test, train = np.split(random.permutation(len(X)), [len(X) // 5])
@@ -178,7 +182,7 @@ def _split_rows(
     return random.permutation(np.flatnonzero(held)), np.flatnonzero(~held)
 
 
-def _check_outputs(plot: Path | None, model: Path | None) -> None:
+def _check_outputs(plot: Path | None, model: Path | None, targets: list[str]) -> None:
     """Refuse to write over what this command has not written, and without the extras, before any work begins."""
     if plot is not None:
         ours = not plot.exists() or (plot.is_file() and b"conformodal" in plot.read_bytes())
@@ -188,6 +192,7 @@ def _check_outputs(plot: Path | None, model: Path | None) -> None:
             import_module("matplotlib")
     if model is not None:
         check_replaceable(model)
+        region_columns(targets)
         with require_extra("save", "--model"):
             import_module("skops")
     for path in filter(None, (plot, model)):
@@ -251,10 +256,12 @@ def choose_columns(
     ]
     lines += [f"left out: {', '.join(left_out)}"] if left_out else []
     if gaps.size:
-        first = ", ".join(map(str, frame.index[gaps[:5]])) + (", ..." if gaps.size > 5 else "")
-        lines.append(f"left out: {counted(gaps.size, 'row')} without a target or group (lines {first})")
-    at = listed([*map(str, frame.index[totals][:5])] or ["none"])
-    lines += [f"note: left out: line {at}, which holds totals of the others"] if totals.any() else []
+        at = _few_lines(frame.index[gaps])
+        lines.append(f"left out: {counted(gaps.size, 'row')} without a target or group (lines {at})")
+    if totals.any():
+        at = _few_lines(frame.index[totals])
+        lines.append(f"note: left out: {counted(int(totals.sum()), 'row')} with totals of the others (lines {at})")
+    lines += _doubt_labels(rows)
     inputs = rows[used]
     if group is not None and inputs[group].dtype.kind == "f" and (inputs[group] % 1 == 0).all():
         inputs = inputs.astype({group: int})  # group 2, not 2.0
@@ -267,22 +274,52 @@ def check_targets(frame: pd.DataFrame, targets: list[str], file: str) -> None:
     for name in targets:
         if why := unfit.get(name):
             raise TableError(f"{file}: target {name!r} {why}; write numbers in one unit, or leave them out")
-        if frame[name].dtype.kind != "f":
-            value = str(frame[name].dropna().iloc[:1].squeeze())
+        values = frame[name].dropna()
+        if values.empty:
+            raise TableError(f"{file}: target {name!r} holds no values")
+        if values.dtype.kind != "f":
+            value = str(values.iloc[0])
             raise TableError(f"{file}: target {name!r} must hold numbers, got {value!r}; see --decimal and --thousands")
 
 
 def total_rows(frame: pd.DataFrame) -> pd.Series:
-    """Rows that hold the sums of the others, or are called so where few are."""
+    """Rows that hold the sums of the others, or end the file with a label of totals that no other row has.
+
+    One sum may be chance, as of the only other value than 0, so there must be two, or one beside such a label.
+    """
     numbers = frame.select_dtypes("float")
-    sums = np.isclose(2 * numbers, numbers.sum(), rtol=1e-6, atol=0) & (
-        numbers.abs() > _OUTLYING * numbers.abs().median()
-    )
-    totals = pd.Series(sums.sum(axis=1) > numbers.notna().sum(axis=1) / 2, frame.index)
-    for _, column in frame.select_dtypes(exclude=["float", "datetime"]).items():
-        called = column.astype(str).str.fullmatch(_TOTAL)
-        totals |= called & (called.mean() < _FEW_TOTALS)
-    return totals
+    with np.errstate(over="ignore"):
+        halves = numbers.sum() / 2  # infinite where numbers overflow, which none equals
+        sums = np.isclose(numbers, halves, rtol=1e-6, atol=0) & (numbers.abs() > _OUTLYING * numbers.abs().median())
+    called = pd.Series(False, frame.index)
+    for _, column in _text_columns(frame).items():
+        called |= _called_total(column) & ~column.duplicated(keep=False)
+    n_sums, n_numbers = sums.sum(axis=1), numbers.notna().sum(axis=1)
+    at_end = called[::-1].cummin()[::-1]
+    return at_end | ((n_sums > n_numbers / 2) & ((n_sums > 1) | called))
+
+
+def _text_columns(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.select_dtypes(exclude=["float", "datetime"])
+
+
+def _called_total(column: pd.Series) -> pd.Series:
+    return column.isin([label for label in column.dropna().unique() if re.fullmatch(_TOTAL, str(label))])
+
+
+def _doubt_labels(rows: pd.DataFrame) -> list[str]:
+    """Notes on the few rows of a table that may be totals by their labels, and are learnt from."""
+    notes = []
+    for name, column in _text_columns(rows).items():
+        called = column[_called_total(column)]
+        if 0 < len(called) < _FEW_TOTALS * len(rows):
+            which = f"{counted(len(called), 'row')} with {called.iloc[0]!r} (lines {_few_lines(called.index)})"
+            notes.append(f"note: {name}: {which} used; remove them if they are totals of others")
+    return notes
+
+
+def _few_lines(lines: pd.Index) -> str:
+    return ", ".join(map(str, lines[:5])) + (", ..." if len(lines) > 5 else "")
 
 
 def doubt_targets(X: pd.DataFrame, y: pd.DataFrame, y_min: float) -> list[str]:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -41,7 +41,11 @@ _NUMBER = r"[-+]?[\d.,]*\d[\d.,]*(e[-+]?\d+)?"
 _FEWEST_LINES = 3
 _WORDS = ("NA", "N/A", "n/a", "NaN", "nan", "-NaN", "-nan", "NULL", "null", "None", "<NA>", "#NA", "#N/A")
 _SPACES, _MINUS = "\u00a0\u2007\u2009\u202f", "\u2212"  # between thousands, and before negative numbers
+_MAX_MISSING = 100  # words of a column that are remembered, the most frequent ones
 _CODES = (-99, 99, -999, 999, -9999, 9999, -99999, 99999)  # often stand for missing values
+
+# what a column holds: dates may have a known order of days and months, and NA is a label of text or a missing value
+ColumnKind: TypeAlias = Literal["number", "date", "day first", "month first", "text", "text with NA"]
 
 
 class TableError(ConformodalError):
@@ -56,8 +60,8 @@ class CsvFormat:
     decimal: str | None = None
     thousands: str | None = None
     na_values: Sequence[str] = ()
-    day_first: Sequence[str] = ()  # columns of dates whose days come before their months where nothing else tells
-    labels: Sequence[str] = ()  # columns of text in which "None" and "NA" are labels
+    kinds: Mapping[str, ColumnKind] = field(default_factory=dict)  # of columns of the file learnt from
+    missing: Mapping[str, Sequence[str]] = field(default_factory=dict)  # text that was taken as missing there
     dates: Mapping[str, str] = field(default_factory=dict)  # formats of columns of dates, as of strptime
     units: Mapping[str, str] = field(default_factory=dict)  # of columns of the file learnt from; "" where there is none
     verbatim: Sequence[str] = ()  # columns that stay the text that is written, such as identifiers
@@ -75,8 +79,8 @@ def date_formats(given: Sequence[str]) -> dict[str, str]:
 class ReadFormat:
     """How a file has turned out to be written, in ``attrs["format"]`` of its table."""
 
-    day_first: list[str] = field(default_factory=list)
-    labels: list[str] = field(default_factory=list)
+    kinds: dict[str, ColumnKind] = field(default_factory=dict)
+    missing: dict[str, list[str]] = field(default_factory=dict)  # text of columns that hold numbers or dates
     units: dict[str, str] = field(default_factory=dict)
     unfit: dict[str, str] = field(default_factory=dict)  # columns that can be no target, and why
 
@@ -88,7 +92,8 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
     holds numbers or dates if 95 % of its values do; the others are then missing. The mark before decimals is that of
     most cells; where none leaves no doubt, a comma beside semicolons, else a point. Marks between thousands are read
     where `written` names them, or where they are spaces that do not break, and refused elsewhere. Words such as NA are
-    labels in a column of text without empty cells, and missing values elsewhere.
+    labels in a column of text without empty cells, and missing values elsewhere. A column whose kind `written` names is
+    read as that.
     """
     if file.suffix == ".parquet":
         return _read_parquet(file)
@@ -117,13 +122,16 @@ def read_table(file: Path, written: CsvFormat = CsvFormat()) -> tuple[pd.DataFra
     reader, columns = _ColumnReader(file, separator, decimal, written), {}
     for name, raw in cells.items():
         if name in written.verbatim:
-            columns[name] = raw.astype("str")
+            columns[name] = _as_text(raw)
             continue
         column = clear.get(name, raw)
+        if gone := written.missing.get(str(name)):
+            column = column.mask(column.isin(gone))
         columns[name], told = reader.read(raw, column, plain.get(name))
         lost = column[columns[name].isna() & column.notna()]
         if len(lost):
             told = [*told, f"{counted(len(lost), 'value')} taken as missing, such as {_place(lost)}"]
+            reader.form.missing[name] = lost.value_counts().index[:_MAX_MISSING].tolist()
         notes += [f"{name}: {note}" for note in told]
     frame = pd.DataFrame(columns, cells.index)
     frame.attrs["format"] = asdict(reader.form)
@@ -142,21 +150,23 @@ class _ColumnReader:
         name = str(column.name)
         if form := self.written.dates.get(name):
             return self._dates_as(column, form), []
-        if plain is not None:
+        kind, reading = self.written.kinds.get(name), _Reading()
+        if kind in (None, "number") and plain is not None:
             reading = _Reading(pd.Series(plain, column.index))
-        else:
+        elif kind in (None, "number"):
             reading = _numbers(self.file, column, self.decimal, self.written)
         if reading.unfit:
             self.form.unfit[name] = reading.unfit
         if reading.values is not None:
             self._check_unit(name, reading.unit)
+            self.form.kinds[name] = "number"
             return reading.values, [*reading.notes, *_doubts(column, reading.values.to_numpy(), self.written)]
-        if (dates := _dates(column, self.separator, self.written)) is not None:
-            self.form.day_first += [name] if dates.attrs["day_first"] else []
+        dates = _dates(column, self.separator, kind) if kind in (None, "date", "day first", "month first") else None
+        if dates is not None:
+            self.form.kinds[name] = dates.attrs["kind"]
             at = (dates.dt.day != dates.dt.month).where(dates.notna(), False).idxmax()
             return dates, [*reading.notes, f"dates, of which {column[at]!r} is read as {dates[at]:%Y-%m-%d}"]
-        text, more = _text_column(raw, column, name in self.written.labels)
-        self.form.labels += [name] if text.notna().sum() > column.notna().sum() else []
+        text, self.form.kinds[name], more = _text_column(raw, column, kind)
         return text, [*reading.notes, *more]
 
     def _dates_as(self, column: pd.Series, form: str) -> pd.Series:
@@ -178,29 +188,43 @@ class _ColumnReader:
             self.form.units[name] = unit
 
 
-def _text_column(raw: pd.Series, column: pd.Series, labelled: bool) -> tuple[pd.Series, list[str]]:
-    """A column of text, and a note on words such as NA: labels if the `raw` column has other text and no empty cell."""
+def _text_column(raw: pd.Series, column: pd.Series, kind: ColumnKind | None) -> tuple[pd.Series, ColumnKind, list[str]]:
+    """A column of text, its kind, and a note on words such as NA.
+
+    These are labels if the `raw` column has other text and no empty cell, unless the kind is known.
+    """
+    if kind not in ("text", "text with NA"):
+        kind = "text with NA" if raw.notna().all() and column.notna().any() else "text"
+    text = _as_text(raw if kind == "text with NA" else column)
     words = raw[column.isna() & raw.notna()]
     if words.empty:
-        return column.astype("str"), []
+        return text, kind, []
     told = f"{words.iloc[0]!r} in {counted(len(words), 'cell')}"
-    if labelled or (raw.notna().all() and column.notna().any()):
-        return raw.astype("str"), [f"{told} is a label; --na-values={words.iloc[0]} if it means missing"]
-    return column.astype("str"), [f"{told} is taken as missing"]
+    if kind == "text":
+        return text, kind, [f"{told} is taken as missing"]
+    return text, kind, [f"{told} is a label; --na-values={words.iloc[0]} if it means missing"]
 
 
 def _read_parquet(file: Path) -> tuple[pd.DataFrame, list[str]]:
     """A Parquet file as a CSV file would be read: numbers in float64, times in UTC, all else as text."""
     try:
-        frame = pd.read_parquet(file).reset_index(drop=True)
+        frame = pd.read_parquet(file)
+        named = [name for name in frame.index.names if name is not None]
+        frame = frame.reset_index(named).reset_index(drop=True)
     except (OSError, ValueError) as exc:
         raise TableError(f"{file}: cannot be read as Parquet: {' '.join(str(exc).split())}") from None
+    frame.columns = frame.columns.map(str)
+    form = ReadFormat()
     for name, column in frame.items():
         if is_time(column):
-            frame[name] = pd.to_datetime(column, utc=True).dt.tz_localize(None)
+            frame[name], form.kinds[name] = pd.to_datetime(column, utc=True).dt.tz_localize(None), "date"
+            continue
+        frame[name] = values = pd.Series(as_column(column, name)).replace("", None)
+        if values.dtype.kind == "f":
+            form.kinds[name] = "number"
         else:
-            frame[name] = pd.Series(as_column(column, name)).replace("", None)
-    frame.attrs["format"] = asdict(ReadFormat())
+            form.kinds[name] = "text with NA" if values.notna().all() or values.isin(_WORDS).any() else "text"
+    frame.attrs["format"] = asdict(form)
     return frame, [f"{file}: {counted(len(frame), 'row')}, {counted(frame.shape[1], 'column')}"]
 
 
@@ -237,8 +261,13 @@ def _rows(text: str, file: Path, shape: dict[str, Any], na_values: Sequence[str]
         raise TableError(f"{file}: cannot be read as CSV: holds no values")
     for j, column in raw.items():
         trimmed = pc.utf8_trim_whitespace(pa.array(column, from_pandas=True, type=pa.large_string()))
-        raw[j] = pd.Series(pc.if_else(pc.equal(trimmed, ""), None, trimmed).to_pandas(), dtype="str")
+        raw[j] = _as_text(pc.if_else(pc.equal(trimmed, ""), None, trimmed).to_pandas())
     return raw
+
+
+def _as_text(column: pd.Series) -> pd.Series:
+    """A column as text; pandas 2 writes 'None' and 'nan' into its gaps."""
+    return column.astype("str").where(column.notna())
 
 
 def _each(cells: pd.DataFrame, change: Callable[[pd.Series], pd.Series]) -> AnyArray:
@@ -297,7 +326,7 @@ def _arrangement(text: str, file: Path, separators: str) -> tuple[int, str, int]
                 at = reader.line_num
         except csv.Error:  # a value longer than Python's limit
             continue
-        usual = Counter(n for _, n, *_ in rows).most_common(1)[0][0] if rows else 1
+        usual, n_cells = (Counter(row[k] for row in rows).most_common(1)[0][0] if rows else 1 for k in (1, 2))
         wide = [row for row in rows if row[1] >= usual]
         # a first line with numbers, or more values than all others, is not that of the names if the next one can be
         while (
@@ -307,7 +336,7 @@ def _arrangement(text: str, file: Path, separators: str) -> tuple[int, str, int]
         ):
             del wide[0]
         above = wide[0][0] if wide else 0
-        candidates.append((usual == 1, above, k, separator, max((n for _, _, n, _ in rows), default=1)))
+        candidates.append((n_cells == 1, above, k, separator, max((n for _, _, n, _ in rows), default=1)))
     if len(candidates) < len(separators) and all(single for single, *_ in candidates):
         raise TableError(f"{file}: a value has more than {csv.field_size_limit()} characters; is a quote not closed?")
     _, above, _, separator, width = min(candidates)
@@ -427,41 +456,44 @@ def _parsed(text: pd.Series, decimal: str, thousands: str | None) -> tuple[pd.Se
     return numbers, grouped & numbers.isna()
 
 
-def _dates(column: pd.Series, separator: str, written: CsvFormat) -> pd.Series | None:
+def _dates(column: pd.Series, separator: str, kind: ColumnKind | None) -> pd.Series | None:
     """Dates, in UTC where they have a time zone; None where they are none, or the month is not known."""
     codes, distinct = column.factorize()
     times = np.bincount(codes[codes >= 0], minlength=len(distinct))
     texts = pd.Series(np.asarray(distinct, dtype=object), dtype="str")
-    dates, day_first = _recognised_dates(texts, times, separator, column.name in written.day_first)
+    dates, found = _recognised_dates(texts, times, separator, kind)
     if dates is None or times @ dates.notna() < _MIN_SHARE * times.sum():
         return None
     known = dates.dt.tz_localize(None).to_numpy()
     result = pd.Series(np.append(known, np.datetime64("NaT"))[codes], column.index)
-    result.attrs["day_first"] = day_first
+    result.attrs["kind"] = found
     return result
 
 
 def _recognised_dates(
-    texts: pd.Series, times: IntArray, separator: str, prefers_day_first: bool
-) -> tuple[pd.Series | None, bool]:
-    """Dates of distinct texts, of which each occurs some `times`, and whether days come first."""
+    texts: pd.Series, times: IntArray, separator: str, kind: ColumnKind | None
+) -> tuple[pd.Series | None, ColumnKind]:
+    """Dates of distinct texts, of which each occurs some `times`, and their order; `kind` decides where they do not."""
     given = texts.str.replace(_COMPACT, r"\1-\2-\3 \4:\5:\6", regex=True)
     parts = given.str.extract(_DATE)
     if given.empty or times @ parts[0].notna() < _MIN_SHARE * times.sum():
-        return None, False
+        return None, "date"
     first, second = (pd.to_numeric(parts[k], errors="coerce") for k in (0, 2))
     year_first = first > 31
     day_first = bool((first[~year_first] > 12).any())
     month_first = bool((second[~year_first] > 12).any())
     if day_first and month_first:
-        return None, False
-    pointed = bool(given[~year_first].str.match(r"\d+\.").all())
-    day_first |= not month_first and (prefers_day_first or separator == ";" or pointed)
+        return None, "date"
+    ordered = given[~year_first & first.notna() & second.notna()]  # neither the year nor the name of a month tells
+    if not (day_first or month_first or ordered.empty):
+        pointed = bool(ordered.str.match(r"\d+\.").all())
+        day_first = kind == "day first" or (kind != "month first" and (separator == ";" or pointed))
+    order: ColumnKind = "date" if ordered.empty else "day first" if day_first else "month first"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of days and months in another order
         how: dict[str, Any] = {"errors": "coerce", "format": "mixed", "utc": True}
         dates = pd.to_datetime(given.mask(year_first), dayfirst=day_first, **how)
-        return dates.fillna(pd.to_datetime(given.where(year_first), **how)), day_first
+        return dates.fillna(pd.to_datetime(given.where(year_first), **how)), order
 
 
 def _all_grouped(marked: pd.Series) -> bool:

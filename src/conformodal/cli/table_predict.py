@@ -14,7 +14,7 @@ import typer
 from joblib import parallel_config
 
 from conformodal.conformal import ConformalRegressor
-from conformodal.conformal.tables import input_columns
+from conformodal.conformal.tables import input_columns, output_columns, target_names
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
 from conformodal.core.files import check_writable_file, naming_file, remove_leftovers, replacing
@@ -27,6 +27,7 @@ from .table_options import DateFormats, DecimalMark, NaValues, Separator, Thousa
 _ROWS = 65_536  # at once, and of a row group that is written
 _PARQUET, _CSV = ".parquet", ".csv"
 _LONGEST = 200  # characters of a note
+_ROW_COLUMN = "row"  # the column that numbers the rows
 
 
 def predict(
@@ -50,6 +51,8 @@ def predict(
     with require_extra("table", "conformodal table predict"):
         import_module("pyarrow")
     check_writable_file(out)
+    if out.exists() and file.exists() and out.samefile(file):
+        raise TableError(f"{out}: is the file to predict, not replaced; name another --out")
     reg = ConformalRegressor.load(model)
     named = named_format(sep, decimal, thousands, na_values, date)
     names, n_rows, chunks = _open(file, reg, as_learnt(reg, named))
@@ -61,6 +64,9 @@ def predict(
     others = [name for name in names if name not in (*needed, *copied)]
     if copied:
         report_line(f"copied: {listed(copied)}")
+    new_names = _renamed(copied, region_columns(target_names(reg.bins_)))
+    if renamed := [f"{name} to {new}" for name, new in new_names.items() if name != new]:
+        report_line(f"note: renamed: {listed(renamed)}, as regions have columns of these names"[:_LONGEST])
     if others:
         report_line(f"note: not read: {listed(others)}, which the model does not know"[:_LONGEST])
     told, done = list[str](), 0
@@ -74,8 +80,8 @@ def predict(
             with _naming(file):
                 regions = reg.predict_table(table.select(needed), alpha)
             for name in reversed(copied):
-                regions = regions.add_column(0, name, table[name])
-            regions = regions.add_column(0, "row", [np.arange(done, done + len(regions))])
+                regions = regions.add_column(0, new_names[name], table[name])
+            regions = regions.add_column(0, _ROW_COLUMN, [np.arange(done, done + len(regions))])
             write(regions)
             done += len(regions)
             progress("rows", done, n_rows)
@@ -97,13 +103,36 @@ def named_format(
     return CsvFormat(sep, decimal, thousands, na_values or [], dates=date_formats(date or []))
 
 
+def region_columns(targets: Sequence[str]) -> list[str]:
+    """Names of the columns that are written for these targets; equal ones are refused."""
+    return output_columns(targets, [_ROW_COLUMN])
+
+
+def _renamed(copied: Sequence[str], taken: Sequence[str]) -> dict[str, str]:
+    """Names of copied columns, other ones where they are `taken`."""
+    names: dict[str, str] = {}
+    for name in copied:
+        new = name
+        while new in taken or (new != name and new in copied):
+            new += "_in_file"
+        names[name] = new
+    return names
+
+
 def as_learnt(reg: ConformalRegressor, named: CsvFormat, needed: Sequence[str] = ()) -> CsvFormat:
     """How a new file is written: as the one learnt from, except for what is named.
 
     Columns `needed` beside the inputs are read as they were then; identifiers stay the text that they are.
     """
     how = getattr(reg, "file_format_", {})
-    written = how.get("csv", {}) | {name: value for name, value in vars(named).items() if value}
+    written = dict(how.get("csv", {}))
+    written["kinds"] = (
+        written.get("kinds", {})  # of which older files have the order of dates, and columns with NA as a label
+        | dict.fromkeys(written.pop("day_first", ()), "day first")
+        | dict.fromkeys(written.pop("labels", ()), "text with NA")
+    )
+    written |= {name: value for name, value in vars(named).items() if value}
+    written["dates"] = {**how.get("csv", {}).get("dates", {}), **named.dates}
     written["verbatim"] = [name for name in how.get("identifiers", ()) if name not in needed]
     if "units" in how:
         written["units"] = {name: how["units"].get(name, "") for name in [*reg.columns_, *needed]}
@@ -143,6 +172,15 @@ def _open(file: Path, reg: ConformalRegressor, written: CsvFormat) -> tuple[list
     return source.schema_arrow.names, source.metadata.num_rows, batches
 
 
+def _finite(value: Any) -> Any:
+    """Nested lists and structures with None for infinite numbers, which JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(one) for one in value]
+    return finite_or_none(value) if isinstance(value, float) else value
+
+
 @contextmanager
 def _writer(out: Path) -> Iterator[Any]:
     """A function that writes tables one after another into a file, which is there when all are written."""
@@ -150,11 +188,13 @@ def _writer(out: Path) -> Iterator[Any]:
     from pyarrow import csv, parquet  # noqa: PLC0415
 
     def as_text(table: Any) -> Any:
-        """Lists as JSON, in which infinite ends are null."""
+        """Lists, as of intervals and in copied columns, as JSON, in which infinite ends are null."""
         for j, field in enumerate(table.schema):
-            if pa.types.is_list(field.type):
-                rows = [[{k: finite_or_none(v) for k, v in one.items()} for one in row] for row in table[j].to_pylist()]
-                table = table.set_column(j, field.name, [[json.dumps(row) for row in rows]])
+            if pa.types.is_nested(field.type):
+                cells = [
+                    None if value is None else json.dumps(_finite(value), default=str) for value in table[j].to_pylist()
+                ]
+                table = table.set_column(j, field.name, [pa.array(cells, pa.string())])
         return table
 
     remove_leftovers(out)

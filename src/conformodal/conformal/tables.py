@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,6 +15,7 @@ from conformodal.core.arrays import BoolArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
 
+from .bins import QuantileBins
 from .checks import Alpha, BinProbabilities, brief
 from .density.encoder import is_time, numpy_columns
 from .doubts import TableMemory
@@ -25,6 +28,7 @@ _ROWS = 4096  # of a block, of which each thread holds several arrays (rows, bin
 class TableRegressor(Protocol):
     """What is asked of a fitted :class:`~conformodal.conformal.ConformalRegressor`, which calls this module."""
 
+    bins_: QuantileBins
     columns_: list[str]
     group_column_: Any
     memory_: TableMemory
@@ -50,10 +54,29 @@ def input_columns(reg: TableRegressor, names: list[str]) -> list[str]:
     """The columns of a table with these names that a regressor reads, in its order; missing ones are refused."""
     if not reg.columns_:
         raise ConformodalError("tables are read by the names of their columns: fit on a frame, not on an array")
-    needed = [*reg.columns_, *([] if reg.group_column_ in (None, *reg.columns_) else [str(reg.group_column_)])]
+    group = _group_name(reg)
+    needed = [*reg.columns_, *([] if group is None or group in reg.columns_ else [group])]
     if missing := [name for name in needed if name not in names]:
         raise ConformodalError(f"the table lacks the columns {brief(missing, 200)}; it has {brief(names, 200)}")
     return needed
+
+
+def output_columns(targets: Sequence[str], more: Sequence[str] = ()) -> list[str]:
+    """Names of the columns of regions of these targets, after `more` columns; equal ones are refused."""
+    names = [*more, *(f"{target}{end}" for target in targets for end in ("", "_low", "_high", "_intervals"))]
+    if twice := [name for name, times in Counter(names).items() if times > 1]:
+        raise ConformodalError(f"target names {brief(targets)} lead to several columns {brief(twice)}; rename a target")
+    return names
+
+
+def target_names(bins: QuantileBins) -> list[str]:
+    """Names of the targets, which arrays have none of."""
+    return bins.names or [f"target {j}" for j in range(bins.n_targets)]
+
+
+def _group_name(reg: TableRegressor) -> str | None:
+    """The column of groups, by its name in a table, which is text."""
+    return None if reg.group_column_ is None else str(reg.group_column_)
 
 
 def as_inputs(reg: TableRegressor, table: Any) -> Any:
@@ -63,6 +86,9 @@ def as_inputs(reg: TableRegressor, table: Any) -> Any:
     """
     names = list(map(str, getattr(table, "column_names", getattr(table, "columns", ()))))
     needed = input_columns(reg, names)
+    if hasattr(table, "iloc"):
+        table = table.copy(deep=False)
+        table.columns = names  # pandas allows other names than text, such as the default 0, 1
     frame = numpy_columns(table[needed] if hasattr(table, "iloc") else table.select(needed))
     frame = frame if hasattr(frame, "iloc") else frame.to_pandas()
     for name, memory in zip(reg.columns_, reg.memory_.columns, strict=False):
@@ -93,17 +119,18 @@ def region_table(reg: TableRegressor, table: Any, alpha: Alpha | None) -> Any:
     with require_extra("table", "predict_table"):
         import pyarrow as pa  # noqa: PLC0415 - an extra
 
+        output_columns(target_names(reg.bins_))
         frame = as_inputs(reg, table)
-    inputs = frame[reg.columns_]
+    inputs, group = frame[reg.columns_], _group_name(reg)
     unlike = reg.compare_rows(inputs)
-    if reg.group_column_ is not None and reg.group_column_ not in reg.columns_:  # else compare_rows tells of gaps
-        reg.warn_without_group(frame[reg.group_column_])
+    if group is not None and group not in reg.columns_:  # else compare_rows tells of gaps
+        reg.warn_without_group(frame[group])
     threads = ThreadpoolController()
 
     def answer(rows: slice) -> Any:
         with threads.limit(limits=1, user_api="openmp"):  # which each thread has a limit of its own for
             proba = reg.proba_of(inputs.iloc[rows])
-        labels = None if reg.group_column_ is None else frame[reg.group_column_].iloc[rows]
+        labels = None if group is None else frame[group].iloc[rows]
         return _arrow_table(reg, proba, reg.regions_of(proba, unlike[rows], alpha, labels))
 
     parts = [*gen_batches(len(frame), _ROWS)] or [slice(0, 0)]
@@ -120,7 +147,7 @@ def _arrow_table(reg: TableRegressor, proba: BinProbabilities, regions: Regions)
 
     density, columns = PredictiveDensity(regions.bins, proba), {}
     mean, hull = density.mean, regions.hull
-    for j, name in enumerate(regions.bins.names or [f"target {j}" for j in range(regions.bins.n_targets)]):
+    for j, name in enumerate(target_names(regions.bins)):
         offsets, ends = regions.flat_intervals(j)
         fields = {"low": ends[:, 0], "high": ends[:, 1], "probability": density.flat_probabilities(regions, j)}
         struct = pa.StructArray.from_arrays([pa.array(values) for values in fields.values()], list(fields))

@@ -21,6 +21,7 @@ _MAX_LABELS, _MIN_ROWS = 20, 2
 _DAY = np.timedelta64(1, "D")
 _ISO_DATE = re.compile(r"\d{4}-\d{2}-\d{2}(?:$|[T ]\d{2})|\d{8}T\d{4}")  # 20141013 alone may be a number
 _HOURS, _MONDAY = 24.0, 3  # of a day; 1970-01-01 was a Thursday
+_LARGEST = float(np.finfo(np.float32).max)  # that trees of scikit-learn split
 
 
 def is_frame(X: Any) -> bool:
@@ -240,12 +241,18 @@ class TableEncoder:
         if len(columns) != len(self.columns_):
             raise ConformodalError(f"X has {len(columns)} columns, expected {len(self.columns_)}")
         parts: list[FloatArray] = [np.empty((len(X), 0))]
-        for j, (values, learnt) in enumerate(zip(columns, self.columns_, strict=True)):
+        for j, (column, learnt) in enumerate(zip(columns, self.columns_, strict=True)):
+            name = X.columns[j] if is_frame(X) else j
+            empty = isinstance(learnt, tuple) and column.dtype.kind != "f" and (column == "").all()
+            values = np.full(len(column), np.nan) if empty else column  # the type of an empty column tells nothing
             if learnt is None:
                 parts.append(np.zeros(len(values)))
             elif isinstance(learnt, tuple) and values.dtype.kind == "f":
                 gaps = np.isnan(values)
                 whole = np.where(gaps, learnt[0], values)
+                if (beyond := np.abs(whole) > _LARGEST).any():
+                    shown = f"got {whole[beyond.argmax()]:.7g}; if it means missing, make it NaN (--na-values)"
+                    raise ConformodalError(f"column {name} must hold numbers within ±{_LARGEST:.1e}, {shown}")
                 parts += [whole, *([gaps * 1.0] if learnt[1] else [])]
                 if names := self.parts_.get(str(j)):
                     of_dates = date_parts(whole)
@@ -254,7 +261,6 @@ class TableEncoder:
                 parts += [(values == label) * 1.0 for label in learnt]
             else:
                 before = "text" if isinstance(learnt, list) else "numbers or dates"
-                name = X.columns[j] if is_frame(X) else j
                 raise ConformodalError(f"column {name} held {before} in training, got {brief(values[:1].tolist())}")
         return np.column_stack(parts)
 
