@@ -4,16 +4,20 @@ import json
 import re
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from conformodal.core.extras import MissingPackageError
 from conformodal.geometry.metrics import umeyama
 from conformodal.io import DatasetError, read_recording
 from conformodal.io.streams.frames import SourceError
 from conformodal.mapping import KnownLength, MapError, Placement, build_map, settings
+from conformodal.mapping.clips import open_sources, write_clips
+from conformodal.mapping.matching import match_keyframes
 from conformodal.mapping.world import Up
 from tests.helpers import contents
 
@@ -184,6 +188,54 @@ def test_duplicate_video_and_second_camera_are_refused(clip, tmp_path):
     (calibrated / "camera-intrinsics.txt").write_text("260 0 159.5\n0 260 119.5\n0 0 1\n")
     with pytest.raises(MapError, match="calibrated: has a camera, fx = 260, and --camera gives one"):
         build_map([calibrated], tmp_path / "out", camera_file=tmp_path)
+
+
+def frames_of(folder, work, camera_file=None):
+    """Clips of a folder of images, in a new folder."""
+    return write_clips(open_sources([folder], camera_file), work, SETTINGS)
+
+
+def test_images_are_copied_by_their_format_not_suffix(tmp_path):
+    folder = render(tmp_path / "room", sweep(4.0)[:3])
+    with Image.open(folder / "001.png") as image:
+        image.save(folder / "001.png", format="WEBP")
+    (clip,) = frames_of(folder, tmp_path / "work")
+    assert [Path(image).suffix for image in clip.images] == [".png", ".jpg", ".png"]
+    with Image.open(tmp_path / "work" / clip.images[1]) as image:
+        assert image.format == "JPEG"
+
+
+def test_an_image_that_pycolmap_cannot_read_is_named(tmp_path):
+    clips = frames_of(render(tmp_path / "room", sweep(4.0)), tmp_path / "work")
+    (tmp_path / "work" / clips[0].keyframe_images[1]).write_bytes(b"not an image")
+    named = clips[0].source_names[clips[0].keyframes[1]]
+    with pytest.raises(MapError, match=rf"room: {named}: pycolmap cannot read the image"):
+        match_keyframes(clips, tmp_path / "work", tmp_path / "matches.db", SETTINGS)
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_doubts_about_a_camera_are_noted(tmp_path, given):
+    folder = render(tmp_path / "room", sweep(4.0)[:3])
+    file = (tmp_path if given else folder) / "camera-intrinsics.txt"
+    file.write_text("260 0 80\n0 260 60\n0 0 1\n")
+    (clip,) = frames_of(folder, tmp_path / "work", file if given else None)
+    (note,) = clip.notes
+    assert (note.what, "principal point" in note.where) == ("camera is unlikely", True)
+
+
+def test_a_camera_that_only_the_layout_tells_is_fitted(tmp_path):
+    images = render(tmp_path / "seq-01", sweep(4.0)[:3])
+    for k in range(3):
+        path = images / f"frame-{k:06d}.color.png"
+        with Image.open(images / f"{k:03d}.png") as image:
+            image.resize((640, 480)).save(path)
+        (images / f"{k:03d}.png").unlink()
+        np.savetxt(images / f"frame-{k:06d}.pose.txt", np.eye(4))
+    (clip,) = frames_of(tmp_path, tmp_path / "work")
+    assert (clip.camera, clip.notes) == (None, ())
+    (tmp_path / "camera.txt").write_text("520 0 319.5\n0 520 239.5\n0 0 1\n")
+    (clip,) = frames_of(tmp_path, tmp_path / "again", tmp_path / "camera.txt")
+    assert clip.camera.fx == 520
 
 
 @pytest.mark.parametrize(

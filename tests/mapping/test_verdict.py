@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conformodal.mapping.verdict import MapQuality, judge
+from conformodal.mapping.structure import filter_points
+from conformodal.mapping.verdict import MapQuality, judge, mean_error_px
 from conformodal.mapping.world import Up, upright
 
 GOOD = MapQuality(
@@ -46,6 +47,43 @@ def test_each_limit_that_is_passed_is_named_with_what_to_record(changes, what, r
     (reason,) = judge(replace(GOOD, **changes))
     assert reason.what.startswith(what)
     assert remedy in reason.remedy
+
+
+def seen_by(cameras, errors_px):
+    """A model in which each camera sees the same points, so many pixels off."""
+    pycolmap = pytest.importorskip("pycolmap")
+    model = pycolmap.Reconstruction()
+    xyz = np.column_stack((np.random.default_rng(0).uniform(-1, 1, (20, 2)), np.full(20, 4.0)))
+    ids = [model.add_point3D(point, pycolmap.Track(), np.zeros(3, np.uint8)) for point in xyz]
+    for key, ((width, height, f), off) in enumerate(zip(cameras, errors_px, strict=True), start=1):
+        camera = pycolmap.Camera(
+            model="PINHOLE", width=width, height=height, params=[f, f, width / 2, height / 2], camera_id=key
+        )
+        model.add_camera_with_trivial_rig(camera)
+        T = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([key - 1.5, 0.0, 0.0]))
+        pixels = camera.img_from_cam(xyz + T.translation) + np.array([0.0, off])
+        points = [pycolmap.Point2D(pixel) for pixel in pixels]
+        model.add_image_with_trivial_frame(
+            pycolmap.Image(name=f"{key}", points2D=points, camera_id=key, image_id=key), T
+        )
+        for k, point in enumerate(ids):
+            model.add_observation(point, pycolmap.TrackElement(key, k))
+    return model
+
+
+SMALL, LARGE = (320, 240, 260.0), (3200, 2400, 2600.0)
+
+
+def test_reprojection_errors_have_the_size_of_their_images():
+    model = seen_by([SMALL, LARGE], [3.0, 10.0])
+    assert mean_error_px(model) == pytest.approx((3.0 * 640 / 320 + 10.0 * 640 / 3200) / 2)
+
+
+def test_observations_are_kept_by_the_size_of_their_images():
+    for errors, n_kept in (([3.0, 10.0], 20), ([6.0, 10.0], 0), ([3.0, 30.0], 0)):
+        model = seen_by([SMALL, LARGE], errors)
+        filter_points(model)
+        assert model.num_points3D() == n_kept
 
 
 def cameras(rng, pitch_deg, yaw_spread_deg):

@@ -56,7 +56,7 @@ class MapReport:
     seconds, peak_bytes
         What it took: time, and most memory of the process.
     notes
-        Frames that were left out.
+        Frames that were left out, and what is unlikely or assumed of the videos and their cameras.
     """
 
     quality: MapQuality
@@ -143,7 +143,8 @@ def build_map(
             written=settings.trust_map or not made.reasons,
             seconds=time.perf_counter() - started,
             peak_bytes=peak_memory_bytes(),
-            notes=tuple(note for clip in clips for note in clip.notes),
+            # a file of a camera is read once per video
+            notes=tuple(dict.fromkeys(note for clip in clips for note in clip.notes)),
         )
         if result.written:
             write_record(part, {**(record or {}), **result.record()})

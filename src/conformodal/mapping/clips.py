@@ -16,9 +16,10 @@ from PIL import Image
 from conformodal.core.arrays import FloatArray, IntArray, evenly_spread
 from conformodal.core.progress import Progress
 from conformodal.geometry import PinholeCamera
-from conformodal.io.cameras import camera_beside
+from conformodal.io.cameras import OF_LAYOUT, camera_beside
 from conformodal.io.decoding import common_size, is_turned
 from conformodal.io.errors import DatasetError, DatasetWarning
+from conformodal.io.frame_table import OWN_SCALE
 from conformodal.io.layouts.images import read_image_folder
 from conformodal.io.reading import BETWEEN_RECORDINGS_S, Note
 from conformodal.io.registry import Layout, readers, recognise
@@ -30,16 +31,19 @@ from .keyframes import KeyframePicker
 from .settings import MapError, MapSettings
 
 _FOCAL_SHARE = 1.2  # of the longer side, where nothing says the focal length
-_COPIED = (".jpg", ".jpeg", ".png")  # formats that both pycolmap and the readers take
+_COPIED = ("JPEG", "PNG")  # formats that both pycolmap and the readers take
+_COPIED_AS = (".jpg", ".jpeg", ".png")
+_UNUSED = (OF_LAYOUT, OWN_SCALE)  # notes on a camera and poses that are not used
 NO_IMAGE, BACK = "left out, no image of the camera's size", "left out, time goes back"
 
 
 class Source(NamedTuple):
-    """Where frames come from: their stream, and the camera if it is known."""
+    """Where frames come from: their stream, the camera if it is known, and what is unlikely about it."""
 
     path: Path
     stream: FrameStream
     camera: PinholeCamera | None
+    notes: tuple[Note, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +69,7 @@ class Clip:
     keyframes
         (k,) places of the keyframes.
     notes
-        What was left out.
+        What was left out, and what is unlikely or assumed of its source.
     """
 
     name: str
@@ -113,13 +117,22 @@ def _open_folder(folder: Path) -> Source:
     except DatasetError:
         layout = Layout.IMAGES
     table = read_image_folder(folder.resolve()) if layout == Layout.IMAGES else readers()[layout].read(folder.resolve())
-    known = table.camera is not None
-    focal = None if known else _FOCAL_SHARE * max(common_size(table.images))
+    # a camera that only the layout tells is fitted: it may not be that of these images
+    known = table.camera is not None and all(note.what != OF_LAYOUT for note in table.notes)
+    if not known:
+        table.camera = _usual_camera(*common_size(table.images))
     table.poses, table.source = None, folder
+    table.notes = [note for note in table.notes if note.what not in _UNUSED]
     with warnings.catch_warnings():  # frames that are left out are told later
         warnings.simplefilter("ignore", DatasetWarning)
-        recording = table.to_recording(require_poses=False, focal=focal)
+        recording = table.to_recording(require_poses=False)
     return Source(folder, RecordingStream(recording), recording.camera if known else None)
+
+
+def _usual_camera(width: int, height: int) -> PinholeCamera:
+    """A camera to read images with until theirs is fitted."""
+    focal = _FOCAL_SHARE * max(width, height)
+    return PinholeCamera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
 
 def _with_camera(source: Source, file: Path) -> Source:
@@ -130,10 +143,11 @@ def _with_camera(source: Source, file: Path) -> Source:
     first = next((frame.image for frame in source.stream if frame.image is not None), None)
     if first is None:
         raise SourceError(f"{source.path}: holds no frame that can be used")
-    camera = camera_beside(file, (first.shape[1], first.shape[0]), None, [])
+    notes = list[Note]()
+    camera = camera_beside(file, (first.shape[1], first.shape[0]), None, notes)
     if camera is None:
         raise MapError(f"{file}: no camera-intrinsics.txt there, expected one with the 3x3 matrix of the camera")
-    return source._replace(camera=camera)
+    return source._replace(camera=camera, notes=tuple(notes))
 
 
 def write_clips(
@@ -156,6 +170,8 @@ def write_clips(
         own = [writer.finish() for writer in writers.values()]
         if len(own) > 1:
             own = [replace(clip, source=f"{clip.source}, recording {k}") for k, clip in enumerate(own, start=1)]
+        if own:
+            own[0] = replace(own[0], notes=(*source.stream.notes, *source.notes, *own[0].notes))
         clips += own
     return _at_most(_in_order(clips), settings.max_keyframes)
 
@@ -186,6 +202,12 @@ def _at_most(clips: list[Clip], n: int) -> list[Clip]:
 def _folder_name(path: Path, number: int) -> str:
     """A name of letters, digits and few signs; by their numbers, folders are read in the order of the clips."""
     return f"{number}-{re.sub(r'[^A-Za-z0-9_-]+', '-', path.resolve().stem).strip('-')}".rstrip("-")
+
+
+def _is_copied(path: Path) -> bool:
+    """Whether an image is stored as it is shown, in a format that is copied; its suffix may tell another one."""
+    with Image.open(path) as image:
+        return image.format in _COPIED and not is_turned(path)
 
 
 class _ClipWriter:
@@ -227,7 +249,7 @@ class _ClipWriter:
         stem = self.folder / self.name / f"{len(self.images):06d}"
         stream = self.source.stream
         original = stream.sequence.image_paths[frame.index] if isinstance(stream, RecordingStream) else Path()
-        if original.suffix.lower() in _COPIED and not is_turned(original):
+        if original.suffix.lower() in _COPIED_AS and _is_copied(original):
             return Path(shutil.copyfile(original, stem.with_suffix(original.suffix.lower())))
         path = stem.with_suffix(".jpg")
         Image.fromarray(np.asarray(frame.image)).save(path, quality=self.settings.jpeg_quality, subsampling=0)

@@ -20,7 +20,7 @@ from conformodal.geometry import PinholeCamera
 
 from .clips import Clip
 from .keyframes import SIDE_PX
-from .settings import MapSettings, require_pycolmap
+from .settings import MapError, MapSettings, require_pycolmap
 
 _BATCH_IMAGES, _BATCH_PAIRS = 20, 200  # between two reports of progress
 _MAX_TRIALS = 2000  # of RANSAC: matches that pass the ratio test are mostly right
@@ -82,6 +82,11 @@ def _extract(
     groups: dict[tuple[tuple[int, int], PinholeCamera | None], list[str]] = defaultdict(list)
     for clip in clips:
         groups[clip.size, clip.camera] += clip.keyframe_images
+    called = {
+        image: f"{clip.source}: {name}"
+        for clip in clips
+        for image, name in zip(clip.images, clip.source_names, strict=True)
+    }
     done, total, known = 0, sum(map(len, groups.values())), set[int]()
     for (_, camera), names in groups.items():
         reader = pycolmap.ImageReaderOptions()
@@ -92,9 +97,13 @@ def _extract(
             pycolmap.extract_features(
                 database, images, batch, pycolmap.CameraMode.SINGLE, reader, options, pycolmap.Device.cpu
             )
+            with opened(database) as handle:
+                found = [handle.read_image_with_name(name) for name in batch]
+            if None in found:
+                name = called[batch[found.index(None)]]
+                raise MapError(f"{name}: pycolmap cannot read the image. Save it as PNG")
             if start == 0:
-                with opened(database) as handle:
-                    reader.existing_camera_id = handle.read_image_with_name(batch[0]).camera_id
+                reader.existing_camera_id = found[0].camera_id
                 known |= set() if camera is None else {int(reader.existing_camera_id)}
             done += len(batch)
             if report is not None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from conformodal.core.arrays import FloatArray
+from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.core.parallel import thread_limit
 from conformodal.core.progress import StageProgress
 from conformodal.geometry import PinholeCamera, PoseError
@@ -181,9 +181,35 @@ def adjust(model: Any, kept: Collection[int]) -> None:
     if not all(_is_likely(model.cameras[key]) for key in free):
         _restore(model, before)
         _adjust_bundle(model, kept, refine_centre=False)
-    scale = max(max(camera.width, camera.height) for camera in model.cameras.values()) / SIDE_PX
-    pycolmap.ObservationManager(model).filter_all_points3D(_MAX_ERROR_PX * max(1.0, scale), _MIN_ANGLE_DEG)
+    filter_points(model)
     model.update_point_3d_errors()
+
+
+def filter_points(model: Any) -> None:
+    """Remove observations with large errors, at the size of their own images, and points of narrow angles."""
+    manager = require_pycolmap().ObservationManager(model)
+    for image, points, errors in reprojection_errors(model):
+        side = max(image.camera.width, image.camera.height)
+        for point in points[errors > _MAX_ERROR_PX * max(1.0, side / SIDE_PX)].tolist():
+            if image.points2D[point].has_point3D():  # its point may have gone with another observation
+                manager.delete_observation(image.image_id, point)
+    manager.filter_all_points3D(np.inf, _MIN_ANGLE_DEG)
+
+
+def reprojection_errors(model: Any) -> list[tuple[Any, IntArray, FloatArray]]:
+    """Images with their observed points (n,) and the errors of these (n,) in pixels; infinite behind the camera."""
+    found = list[tuple[Any, IntArray, FloatArray]]()
+    for image in _registered(model):
+        points = np.array(image.get_observation_point2D_idxs(), dtype=np.int64)
+        seen = image.get_observation_points2D()
+        if len(points):
+            xyz = np.array([model.points3D[point.point3D_id].xyz for point in seen])
+            pose = image.cam_from_world().matrix()
+            in_camera = xyz @ pose[:, :3].T + pose[:, 3]
+            pixels = image.camera.img_from_cam(in_camera, check_cheirality=False)
+            errors = np.linalg.norm(pixels - np.array([point.xy for point in seen]), axis=1)
+            found.append((image, points, np.where(in_camera[:, 2] > 0, errors, np.inf)))
+    return found
 
 
 def _restore(model: Any, before: Any) -> None:

@@ -17,7 +17,7 @@ from conformodal.io.diagnosis.images import FITS, NEAR_PX, Motions, as_rays, epi
 from .clips import Clip
 from .keyframes import SIDE_PX
 from .matching import VerifiedPair
-from .structure import Structure, pinhole
+from .structure import Structure, pinhole, reprojection_errors
 
 _MIN_REGISTERED, _MIN_CLIP = 0.8, 0.5  # shares of all frames, and of those of one video
 _MIN_AGREEING = 0.8  # share of the pairs
@@ -44,7 +44,7 @@ class MapQuality:
     n_keyframes: int
     n_mapped: int  # keyframes in the largest piece
     n_pieces: int
-    reprojection_px: float  # mean of all observations
+    reprojection_px: float  # mean over the points
     views_per_point: float
     angle_deg: float  # median over the points, of the largest angle between two of their rays
     n_pairs: int  # of keyframes in the map, whose matches are verified
@@ -88,7 +88,6 @@ def measure_map(
     inside = [pair for pair in pairs if pair.first in structure.pieces[0] and pair.second in structure.pieces[0]]
     agree = np.array([_agrees(pair, poses, cameras[pair.first], cameras[pair.second]) for pair in inside], dtype=bool)
     loops = np.array([not pair.near for pair in inside], dtype=bool)
-    side = max(max(camera.width, camera.height) for camera in cameras.values())
     return MapQuality(
         n_frames=sum(map(len, clips)),
         n_registered=len(poses),
@@ -96,7 +95,7 @@ def measure_map(
         n_keyframes=sum(len(clip.keyframes) for clip in clips),
         n_mapped=len(structure.pieces[0]),
         n_pieces=len(structure.pieces),
-        reprojection_px=float(model.compute_mean_reprojection_error()) * SIDE_PX / side,
+        reprojection_px=mean_error_px(model),
         views_per_point=float(model.compute_mean_track_length()),
         angle_deg=_usual_angle_deg(model),
         n_pairs=len(inside),
@@ -114,6 +113,16 @@ def _agrees(pair: VerifiedPair, poses: Mapping[str, FloatArray], first: PinholeC
     errors = epipolar_px(motions, as_rays(np.stack(planes, axis=1))[None], first.fx)
     near = NEAR_PX * max(1.0, max(first.width, first.height) / SIDE_PX)
     return bool(np.mean(errors < near) >= FITS)
+
+
+def mean_error_px(model: Any) -> float:
+    """Mean over the points of their mean errors, as COLMAP has it, but each error at the size of its own image."""
+    points, errors = list[int](), list[float]()
+    for image, _, px in reprojection_errors(model):
+        points += [point.point3D_id for point in image.get_observation_points2D()]
+        errors += (px * SIDE_PX / max(image.camera.width, image.camera.height)).tolist()
+    _, which = np.unique(points, return_inverse=True)
+    return float((np.bincount(which, errors) / np.bincount(which)).mean()) if errors else 0.0
 
 
 def _usual_angle_deg(model: Any) -> float:
