@@ -226,7 +226,18 @@ def test_an_initial_pose_is_used_when_sim_time_starts(running):
     running.show(26, STEP_NS // 4)
     [path] = said(running.node, "path")
     stamps = [pose.header.stamp.nanosec for pose in path.poses]
-    assert stamps == [STEP_NS // 8, STEP_NS // 4]  # it begins with the initial pose
+    assert stamps == [STEP_NS // 4]
+    assert running.node.logged[-1][1].startswith("initial pose: the path begins anew")
+
+
+def test_an_initial_pose_begins_a_path_without_it(running):
+    for i in range(8):
+        running.show(i, START + i * STEP_NS)
+    initial_pose(running, moved(running.sequence, 26, 0.2))
+    running.show(26, START + 8 * STEP_NS)
+    (pose,) = said(running.node, "path")[-1].poses
+    stamp = pose.header.stamp
+    assert stamp.sec * NANOSECONDS + stamp.nanosec == pytest.approx(START + 8 * STEP_NS, abs=1000)  # seconds are floats
 
 
 def test_images_overrule_an_initial_pose_that_fits_none_of_them(running):

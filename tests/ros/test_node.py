@@ -2,6 +2,7 @@
 
 import sys
 from array import array
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -176,6 +177,17 @@ def test_parameters_that_cannot_be_used_are_named(ros, capsys, given, text):
     assert node_module.main([]) == 2
     assert text in capsys.readouterr().err
     assert ros.ended == 1
+
+
+def test_models_in_map_units_are_refused(ros, world, monkeypatch, capsys):
+    ros.given = {"model": "m"}
+    in_units = replace(world[1], configuration={**world[1].configuration, "unit": "units"})
+    monkeypatch.setattr(node_module, "load_model", lambda path: in_units)
+    assert node_module.main([]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("error: m: its lengths are in map units, expected metres. ")
+    assert all(how in told for how in ("--known-length", "--positions", "metres-per-unit.txt"))
+    assert not ros.node.subscribed
 
 
 def test_without_ros_the_node_says_what_to_install(monkeypatch, capsys):

@@ -105,6 +105,8 @@ def run(
             stream = RecordingStream(stream.sequence, part_frames(loaded, stream.sequence, part))
         elif not whole:
             raise OdometryError(f"{stream.name}: only a data set has a {part} part; run on all of it")
+        if (unit := loaded.configuration["unit"]) != "m" and save is not None and save.suffix.lower() == ROS_SUFFIX:
+            report_line(f"{save}: lengths are in {unit} of the model's own, where ROS expects metres", bold=True)
         # a signal stops the stream; what follows is brought to its end, so that results are kept
         with (
             stopping(gently=True) as signals,

@@ -117,8 +117,12 @@ class Conversion:
         self._limits = limits or MessageLimits()
         self.reset()
 
-    def reset(self) -> None:
-        """Forget the path: another recording begins."""
+    def reset(self, begin_s: float = -math.inf) -> None:
+        """Forget the path: another recording begins, or an operator places the camera.
+
+        Poses before `begin_s` stay out of the path: what an operator says is not an estimate.
+        """
+        self._begin_s = begin_s
         most = self._limits.max_path_poses
         self._path: deque[tuple[float, Any]] = deque(maxlen=most)
         self._lost: deque[float] = deque(maxlen=most)  # times
@@ -267,7 +271,7 @@ class Conversion:
         while self._path and self._path[-1][0] >= first:
             self._path.pop()
         for time_s, pose in zip(revised.timestamps_s.tolist(), self.poses(revised), strict=True):
-            if time_s not in self._lost:
+            if time_s >= self._begin_s and time_s not in self._lost:
                 self._path.append((time_s, pose))
         self._n_answered += 1
         return due

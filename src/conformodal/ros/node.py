@@ -19,11 +19,13 @@ from conformodal.core.arrays import FloatArray
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import MissingPackageError
 from conformodal.io.diagnosis.stale import RepeatWatch
+from conformodal.io.frame_table import METRES_PER_UNIT
 from conformodal.io.streams import ros_messages
 from conformodal.io.streams.frames import SourceError
 from conformodal.pipeline.config import OdometryError
 from conformodal.pipeline.estimates import Estimate
 from conformodal.pipeline.estimator import VisualOdometry, odometry_of
+from conformodal.pipeline.model import PoseModel
 from conformodal.pipeline.odometry import Odometry
 from conformodal.pipeline.store import load_model
 
@@ -200,6 +202,7 @@ class PoseNode:
             self._log.warning(f"initial pose is not used: {exc}")
             return
         self.odometry.start_near(hint, time_s - min(_HINT_S, time_s / 2))  # ROS has no times before 0
+        self._conversion.reset(time_s)
         x, y, z = hint.positions_xyz[0]
         self._log.info(f"initial pose: the path begins anew with the camera near {x:.2f} {y:.2f} {z:.2f} m")
 
@@ -268,13 +271,22 @@ def _run(arguments: list[str] | None) -> None:
         given = Parameters(**{name: node.declare_parameter(name, value).value for name, value in defaults.items()})
         if not given.model:
             raise RosError("parameter model must name the folder of a saved model: --ros-args -p model:=MODEL")
-        PoseNode(node, odometry_of(load_model(given.model)), given)
+        model = load_model(given.model)
+        _check_metres(given.model, model)
+        PoseNode(node, odometry_of(model), given)
         rclpy.spin(node, MultiThreadedExecutor(num_threads=2))  # transforms come while an image is answered
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _check_metres(path: str, model: PoseModel) -> None:
+    """Refuse a model without a metric scale: ROS takes lengths for metres, and odometry has them."""
+    if model.configuration["unit"] != "m":
+        how = f"--known-length or --positions (conformodal map), or {METRES_PER_UNIT} in the folder of its recording"
+        raise RosError(f"{path}: its lengths are in map units, expected metres. Give {how}, and train again")
 
 
 if __name__ == "__main__":
