@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,12 @@ def test_the_plan_labels_view_coverage():
         assert label in plan
     assert "sparsely" not in "".join(re.findall(r"<text[^>]*>([^<]*)", quality_plan(examined(EVERY >= 0))))
     assert "recording 2, well covered (60)" in quality_plan(examined(EVERY >= 0, EVERY // 60))
+
+
+def test_the_plan_has_the_unit_of_the_recording():
+    quality = examined()
+    in_units = replace(quality, sequence=replace(quality.sequence, unit="units"))
+    assert ("x (m)" in quality_plan(quality), "x (units)" in quality_plan(in_units)) == (True, True)
 
 
 @pytest.mark.parametrize("missing", [True, False])

@@ -124,6 +124,18 @@ def test_long_runs_are_thinned_and_stay_small(make_run, tmp_path):
     assert f"{len(shown['frames'])} of {n} frames are shown" in path.read_text()
 
 
+def test_recordings_are_apart_and_gaps_between_them_closed():
+    times = np.concatenate((0.2 * np.arange(5), 86400 + 0.2 * np.arange(4)))
+    path = Trajectory(times, np.zeros((9, 3)), np.tile([1.0, 0, 0, 0], (9, 1)))
+    records = [
+        region_record(f"{i}", t, [np.array([[0.0, 1.0]])] * 7) | {"recording": i // 5} for i, t in enumerate(times)
+    ]
+    data = make_viewer(records, {"smoothed": path})["data"]
+    assert [frame["rec"] for frame in data["frames"]] == [0] * 5 + [1] * 4
+    np.testing.assert_allclose([frame["t"] for frame in data["frames"]], 0.2 * np.arange(9))
+    assert data["step"] == pytest.approx(0.2)
+
+
 def test_a_frame_that_shows_no_known_place_has_no_box():
     one = Trajectory(np.array([0.0, 0.1]), np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)))
     whole = [np.array([[-np.inf, np.inf]])] * 7

@@ -70,7 +70,7 @@ def quality_plan(quality: RecordingQuality) -> str | None:
         axis.annotate(f"{one.first}-{one.last}", place, xytext=(8, 8), bbox=box, **note)
     axis.set_aspect("equal", adjustable="datalim")
     axis.margins(0.08)
-    first, second = (f"{'xyz'[k]} (m)" for k in quality.axes)
+    first, second = (f"{'xyz'[k]} ({quality.sequence.unit})" for k in quality.axes)
     axis.set(xlabel=first, ylabel=second)
     figure.legend(loc="outside upper center", ncols=3, frameon=False)
     return as_svg(figure)

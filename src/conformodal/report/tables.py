@@ -24,6 +24,7 @@ _SET, _INSIDE, _OUTSIDE = "#56B4E9", "#0072B2", "#D55E00"
 _DARKEST = 0.98  # quantile of the densities that is drawn darkest: narrow bins have peaks
 _MARGIN = 0.05
 _LARGE = 1e4  # values from here on have k, M or G on their axis
+_VERBATIM: dict[str, Any] = {"parse_math": False}  # of text with names of columns and labels, which may hold $
 _INCHES_PER_ROW, _FEWEST_ROWS, _LONGEST = 0.28, 5, 32  # of coverages; characters of a label
 
 
@@ -90,8 +91,8 @@ def draw_regions(
     values = np.concatenate(shown)
     reach = _MARGIN * (np.ptp(values) or 1.0)
     ax.set(xlim=(ends[0], ends[-1]), ylim=(values.min() - reach, values.max() + reach))
-    ax.set_xlabel("row" if x is None else str(getattr(x, "name", None) or "feature"))
-    ax.set_ylabel(str(regions.bins.names[target] if regions.bins.names else f"target {target}"))
+    ax.set_xlabel("row" if x is None else str(getattr(x, "name", None) or "feature"), **_VERBATIM)
+    ax.set_ylabel(str(regions.bins.names[target] if regions.bins.names else f"target {target}"), **_VERBATIM)
     for axis, ends in ((ax.xaxis, at), (ax.yaxis, values)):
         if np.abs(ends).max() >= _LARGE:
             axis.set_major_formatter(EngFormatter(sep=""))
@@ -120,12 +121,12 @@ def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None)
         ax.plot(check.coverage, i, "o" if check.inside else "X", color=_INSIDE if check.inside else _OUTSIDE)
     ax.axvline(whole.rank / (whole.n_calibration + 1), color="black", lw=0.8, ls="--")
     short = [(label if len(label) <= _LONGEST else f"{label[:_LONGEST]}…", check) for label, check in rows]
-    ax.set_yticks(range(len(rows)), [f"{label} ({check.n_test})" for label, check in short])
+    ax.set_yticks(range(len(rows)), [f"{label} ({check.n_test})" for label, check in short], **_VERBATIM)
     ax.set_xlim(left=ax.get_xlim()[0] - 0.005, right=1.005)
     ax.set_ylim(min(-1, (len(rows) - _FEWEST_ROWS) / 2), max(len(rows), (len(rows) + _FEWEST_ROWS) / 2 - 1))
-    ax.set_xlabel("\n".join(filter(None, ["coverage (bars: bands, crosses: outside)", guarantee.rest()])))
+    ax.set_xlabel("\n".join(filter(None, ["coverage (bars: bands, crosses: outside)", guarantee.rest()])), **_VERBATIM)
     together = f"{diagnosis.level:.0%} band" + ("s, all at once" if diagnosis.n_bands > 1 else "")
-    ax.set_title(f"{guarantee.name}: coverage and {together}", fontsize="medium")
+    ax.set_title(f"{guarantee.name}: coverage and {together}", fontsize="medium", **_VERBATIM)
     return ax
 
 

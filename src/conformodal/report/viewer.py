@@ -90,6 +90,7 @@ def make_viewer(
     )
     some = [one for _, one in chosen]
     shown = [_region_of(one) for one in some]
+    step_s = _close_gaps(shown)
     _add_poses(shown, answer, truth, classical)
     holds_pose = records_hold(some, answer, None)
     holds_truth = None if truth is None else records_hold(some, truth, None)
@@ -101,6 +102,7 @@ def make_viewer(
             frame["img"] = base64.b64encode(images[frame["n"]]).decode()
     data = {
         "frames": shown,
+        "step": step_s,
         "trained": around.trained_xyz[evenly_spread(len(around.trained_xyz), MAX_FRAMES)].round(3).tolist(),
         "axes": flat,
         "unit": around.unit,
@@ -134,6 +136,7 @@ def _region_of(record: dict[str, Any]) -> dict[str, Any]:
     frame: dict[str, Any] = {
         "n": record["frame"],
         "t": round(record["timestamp_s"], 4),
+        "rec": record["recording"],
         "ok": record["reliable"],
         "m": record["motion"],
         "kp": record["known_p"],
@@ -148,6 +151,18 @@ def _region_of(record: dict[str, Any]) -> dict[str, Any]:
     if record["place_p"] is not None:
         frame["pp"] = record["place_p"]
     return frame
+
+
+def _close_gaps(frames: list[dict[str, Any]]) -> float:
+    """Let each recording begin one step after the end of the one before; returns the step, the median one."""
+    recording = np.array([frame["rec"] for frame in frames])
+    steps = np.diff([frame["t"] for frame in frames])
+    within = np.diff(recording) == 0
+    step_s = float(np.median(steps[within])) if within.any() else 1.0
+    shifts = np.cumsum(np.where(within, 0.0, steps - step_s))
+    for frame, shift in zip(frames[1:], shifts.tolist(), strict=True):
+        frame["t"] = round(frame["t"] - shift, 4)
+    return step_s
 
 
 def _position_boxes(places: list[dict[str, Any]]) -> list[list[Any]]:

@@ -11,14 +11,14 @@ function timeAxis(w) {
 function errorChart() {
   const values = frames.flatMap((f) => [f.err, f.cerr]).filter((v) => v > 0), high = Math.max(1e-9, ...values);
   const floor = Math.max(Math.min(...values, high), high * 1e-5), by = data.classical ? (v) => Math.log10(Math.max(v, floor)) : (v) => v;
-  const line = (key, colour, width, dash) => (g, x, y) => polyline(g, frames.map((f) => (f[key] == null ? null : [x(f.t), y(by(f[key]))])), colour, width, dash);
+  const line = (key, colour, width, dash) => (g, x, y) => polyline(g, along(frames, (f) => (f[key] == null ? null : [x(f.t), y(by(f[key]))])), colour, width, dash);
   const draw = (g, x, y) => { line("cerr", colours.classical, 1.2, [2, 3])(g, x, y); line("err", colours.answer, 1.5)(g, x, y); };
   return data.classical ? { id: "error", low: Math.floor(by(floor)), high: by(high), draw, number: (v) => shortly(10 ** v) } : { id: "error", low: 0, high, draw };
 }
 
 function charts() {
   const most = (key) => Math.max(1e-9, ...frames.map((f) => f[key] || 0));
-  const line = (key) => (g, x, y) => polyline(g, frames.map((f) => (f[key] == null ? null : [x(f.t), y(f[key])])), colours.answer, 1.5);
+  const line = (key) => (g, x, y) => polyline(g, along(frames, (f) => (f[key] == null ? null : [x(f.t), y(f[key])])), colours.answer, 1.5);
   const least = Math.floor(Math.log10(Math.min(data.level || 0.1, 0.1, ...frames.map((f) => f.kp || 1))) - 0.1);
   return [
     ...axisNames.map((name, a) => ({ id: `band-${name}`, low: range[a][0], high: range[a][1], draw: bands(a) })),
@@ -31,7 +31,7 @@ function charts() {
 }
 
 const bands = (a) => (g, x, y) => {
-  const half = n > 1 ? (tEnd - t0) / (n - 1) / 2 : 0.5;
+  const half = data.step / 2;
   g.fillStyle = colours.region;
   for (const f of frames) for (const part of f.iv[a]) {
     g.globalAlpha = f.whole ? 0.25 : 0.6;
@@ -40,8 +40,8 @@ const bands = (a) => (g, x, y) => {
   }
   g.globalAlpha = 1; g.fillStyle = colours.classical;
   for (const f of frames) if (f.classical) g.fillRect(x(f.t) - 1, y(f.classical[a]) - 1, 2, 2);
-  polyline(g, frames.map((f) => [x(f.t), y(f.p[a])]), colours.answer, 1.5);
-  if (data.truth) polyline(g, frames.map((f) => f.truth && [x(f.t), y(f.truth[a])]), colours.ink, 1, [3, 4]);
+  polyline(g, along(frames, (f) => [x(f.t), y(f.p[a])]), colours.answer, 1.5);
+  if (data.truth) polyline(g, along(frames, (f) => f.truth && [x(f.t), y(f.truth[a])]), colours.ink, 1, [3, 4]);
 };
 
 // Frames of unknown places are crosses, the others dots.

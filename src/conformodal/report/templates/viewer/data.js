@@ -6,6 +6,9 @@ const axisNames = ["x", "y", "z"];
 const t0 = n ? frames[0].t : 0, tEnd = n > 1 ? frames[n - 1].t : t0 + 1;
 let now = 0;
 
+// Points of frames for a line, which is broken between recordings.
+const along = (some, point) => some.flatMap((f, i) => (i && f.rec !== some[i - 1].rec ? [null, point(f)] : [point(f)]));
+
 const isUnknown = (f) => f.ev === "unknown";
 
 // The run's paths, the walls, and the boxes but a hundredth at either end: one far box would make all else small.

@@ -25,11 +25,11 @@ function drawPlan() {
   if (f.whole) hatch(g, w, h);
   g.fillStyle = colours.faint;
   for (const p of data.trained) { const [x, y] = at(p); g.fillRect(x - 1, y - 1, 2, 2); }
-  g.globalAlpha = 0.35; polyline(g, frames.map((one) => at(one.p)), colours.answer, 1); g.globalAlpha = 1;
-  if (data.truth) polyline(g, frames.map((one) => one.truth && at(one.truth)), colours.ink, 1, [3, 4]);
+  g.globalAlpha = 0.35; polyline(g, along(frames, (one) => at(one.p)), colours.answer, 1); g.globalAlpha = 1;
+  if (data.truth) polyline(g, along(frames, (one) => one.truth && at(one.truth)), colours.ink, 1, [3, 4]);
   const outside = f.whole ? 0 : drawBoxes(g, w, h, f, point);
   drawPlaces(g, f, point);
-  polyline(g, frames.slice(0, now + 1).map((one) => at(one.p)), colours.answer, 2.5);
+  polyline(g, along(frames.slice(0, now + 1), (one) => at(one.p)), colours.answer, 2.5);
   drawCamera(g, at(f.p), ahead(f.q), a, b);
   if (f.classical) mark(g, at(f.classical), colours.classical, "diamond");
   mark(g, at(f.p), colours.answer, "dot");

@@ -13,11 +13,11 @@ function drawSpace() {
   const most = (k) => Math.max(...corners.map((c) => Math.abs(c[k])), 1e-9);
   const scale = turn.zoom * Math.min(0.46 * w / most(0), 0.46 * h / most(1));
   const at = (p) => { const [u, v] = seen(p); return [w / 2 + scale * u, h / 2 + scale * v]; };
-  g.globalAlpha = 0.35; polyline(g, frames.map((one) => at(one.p)), colours.answer, 1); g.globalAlpha = 1;
-  if (data.truth) polyline(g, frames.map((one) => one.truth && at(one.truth)), colours.ink, 1, [3, 4]);
+  g.globalAlpha = 0.35; polyline(g, along(frames, (one) => at(one.p)), colours.answer, 1); g.globalAlpha = 1;
+  if (data.truth) polyline(g, along(frames, (one) => one.truth && at(one.truth)), colours.ink, 1, [3, 4]);
   if (!f.whole) drawCuboids(g, f.bx, colours["region-line"], at);
   drawCuboids(g, f.pb || [], colours.answer, at);
-  polyline(g, frames.slice(0, now + 1).map((one) => at(one.p)), colours.answer, 2);
+  polyline(g, along(frames.slice(0, now + 1), (one) => at(one.p)), colours.answer, 2);
   mark(g, at(f.p), colours.answer, "dot");
   if (f.truth) mark(g, at(f.truth), colours.ink, "cross");
   if (f.whole) plate(g, noBox(f), w / 2, 28);
