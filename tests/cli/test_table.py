@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 
 from conformodal.cli import table_predict
-from conformodal.cli.table import RowSplit, _split_rows, choose_columns, doubt_targets
+from conformodal.cli.table import RowSplit, _draw, _split_rows, choose_columns, doubt_targets
 from conformodal.cli.table_csv import CsvFormat, TableError, read_table
-from conformodal.conformal import ConformalRegressor
+from conformodal.conformal import ConformalRegressor, PredictiveDensity, QuantileBins, SplitConformal, diagnose
 from conformodal.conformal.tables import as_inputs
 from tests.helpers import invoke, refusal, run_ok
 
@@ -255,6 +255,17 @@ def test_a_missing_extra_is_named_before_the_file_is_read(tmp_path, monkeypatch,
     told = refusal("table", tmp_path / "missing.csv", "--target", "y", option, tmp_path / "new.png")
     assert option in told
     assert package in told
+
+
+def test_dollars_in_a_targets_name_are_drawn_as_they_are(tmp_path):
+    pytest.importorskip("matplotlib")
+    name, rng, proba = "$5_% to $6_%", np.random.default_rng(0), np.full((50, 10), 0.1)
+    bins = QuantileBins(10).fit(rng.random(100))
+    bins.names = [name]
+    split, y = SplitConformal(bins).calibrate(proba, rng.random(50)), rng.random(50)
+    found = diagnose(split, proba, y)
+    _draw(PredictiveDensity(bins, [proba]), split.predict(proba), pd.DataFrame({name: y}), found, tmp_path / "own.svg")
+    assert f"<!-- {name}: sets, alpha = 0.1 -->" in (tmp_path / "own.svg").read_text()
 
 
 def test_the_command_prints_columns_and_group_coverage(tmp_path):

@@ -214,7 +214,8 @@ def _draw(density: PredictiveDensity, regions: Regions, y: pd.DataFrame, diagnos
         some = PredictiveDensity(density.bins, [part[rows] for part in density.proba])
         place = pd.Series(np.arange(len(rows)), name=f"{len(rows):,} of {len(y):,} unseen rows, by predicted mean")
         draw_regions(regions[rows], y.iloc[rows], place, some, j, left)
-        left.set_title(f"{y.columns[j]}: sets, alpha = {diagnosis.alpha}", fontsize="medium", loc="left", pad=24)
+        title = f"{y.columns[j]}: sets, alpha = {diagnosis.alpha}"
+        left.set_title(title, fontsize="medium", loc="left", pad=24, parse_math=False)
         if j < len(diagnosis.columns):
             draw_coverage(diagnosis, j, right)
         else:
