@@ -3,9 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
 
 from conformodal.geometry import PinholeCamera
 from conformodal.geometry.map_poses import Matches, choose_tracks, fit_camera, inlier_rays
+from conformodal.geometry.poses import rigid_motions
 from conformodal.geometry.triangulation import MIN_PARALLAX_RAD, Rays, triangulate
 
 CAMERA = PinholeCamera(500, 500, 320, 240, 640, 480)
@@ -26,6 +29,25 @@ def test_few_matches_leave_the_camera_as_it_was():
     found = fit_camera(nothing, np.empty((0, 4, 4)), bent, 2.0)
     assert found.camera == CAMERA  # corners come without distortion
     np.testing.assert_array_equal(found.T_pose_cam, np.eye(4))
+
+
+@pytest.mark.parametrize(("turn_deg", "mount_m"), [(9, 0.0), (34, 0.0), (34, 0.03)])
+def test_a_mount_is_not_made_of_noise(turn_deg, mount_m):
+    """Where the camera hardly turns, images do not determine where it is mounted; a real mount is found."""
+    rng, n = np.random.default_rng(2), 40000
+    turns = Rotation.from_euler("yxz", rng.uniform(-turn_deg, turn_deg, (60, 3)) / (1, 3, 3), degrees=True)
+    centres = np.column_stack((np.linspace(0, 2, 60), rng.normal(0, 0.1, (60, 2))))
+    poses = rigid_motions(turns.as_matrix(), centres)
+    cameras = poses @ rigid_motions(np.eye(3), np.array([mount_m, 0, 0]))
+    frames = rng.integers(0, 60, (n, 2))
+    points = rng.uniform([-2, -2, 3], [4, 2, 5], (n, 3))[:, None]
+    local = np.einsum("mkba,mkb->mka", cameras[frames, :3, :3], points - cameras[frames, :3, 3])
+    pixels = 500 * local[..., :2] / local[..., 2:] + (320, 240)
+    seen = (local[..., 2] > 0.5).all(axis=1) & ((pixels > 0) & (pixels < (640, 480))).all(axis=(1, 2))
+    pixels = (pixels + rng.normal(0, 0.3, pixels.shape))[seen & (frames[:, 0] != frames[:, 1])]
+    matches = Matches(frames[seen & (frames[:, 0] != frames[:, 1])], pixels, np.zeros_like(pixels))
+    found = fit_camera(matches, poses, CAMERA, 4.0)
+    np.testing.assert_allclose(found.T_pose_cam[:3, 3], [mount_m, 0, 0], atol=0.003 if mount_m else 0)
 
 
 def rays_to(points, centres, off=0.0):

@@ -33,6 +33,10 @@ _SCALE_PX = 1.5  # of the Cauchy loss
 # depths, and of the shutter's delays
 _SIGMA_LOG_FOCAL, _SIGMA_MOUNT_RAD, _SIGMA_MOUNT_DEPTHS, _SIGMA_S = 0.2, 0.05, 0.05, 0.02
 _MAX_SIGMAS = 3.0  # further off, the poses do not belong to the images
+# Chi-squared of the mount's position, three degrees of freedom: chance exceeds it once in a thousand times. Where the
+# camera hardly turns, images do not determine it: one made of noise differs between maps of one recording, and moves
+# the answers to turned images
+_SIGNIFICANT = 16.27
 
 MIN_PER_FRAME = 20.0  # observations, on average: with fewer, poses stay as given
 # standard deviations of the given poses at first, and the share to which a round may lower them
@@ -80,7 +84,27 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
         errors = _epipolar_errors_px(_rig_of(given, unknowns * spreads), fitted, poses_se3)
         return np.concatenate((errors / _SCALE_PX, unknowns))
 
-    unknowns = least_squares(residuals, np.zeros(9), loss="cauchy", max_nfev=30).x
+    def fit(free: IntArray) -> tuple[FloatArray, FloatArray]:
+        """The unknowns, of which these are free, and the Jacobian (m, len(free)) of the errors."""
+
+        def of_free(values: FloatArray) -> FloatArray:
+            unknowns = np.zeros(9)
+            unknowns[free] = values
+            return residuals(unknowns)
+
+        found = least_squares(of_free, np.zeros(len(free)), loss="cauchy", max_nfev=30)
+        unknowns = np.zeros(9)
+        unknowns[free] = found.x
+        return unknowns, np.asarray(found.jac)[: -len(unknowns)]
+
+    unknowns, jacobian = fit(np.arange(9))
+    errors = residuals(unknowns)[:-9]
+    noise = np.median(np.abs(errors)) / MAD_OF_NORMAL
+    information = jacobian.T @ jacobian
+    shrunk = np.linalg.inv(information + np.eye(9))
+    covariance = noise**2 * (shrunk @ information @ shrunk)[4:7, 4:7]
+    if unknowns[4:7] @ np.linalg.pinv(covariance, rcond=1e-9, hermitian=True) @ unknowns[4:7] < _SIGNIFICANT:
+        unknowns, _ = fit(np.delete(np.arange(9), (4, 5, 6)))
     if np.abs(unknowns[7:]).max() >= _MAX_SIGMAS:
         unknowns[7:] = 0
     better = _rig_of(given, unknowns * spreads)
