@@ -52,6 +52,10 @@ def test_coverage_stands_beside_its_band():
     assert any(
         np.isclose((bar.get_x(), bar.get_width()), (check.low, check.high - check.low)).all() for bar in ax.patches
     )
+    units = SplitConformal(bins, score="density").calibrate(proba, y[:150], np.arange(150) // 5)
+    ax = draw_coverage(diagnose(units, proba, y[150:]))  # no band holds for rows of units
+    assert not ax.patches
+    assert "band" not in ax.get_title() + ax.get_xlabel()
 
 
 @pytest.mark.parametrize("name", ["$5_% to $6_%", "income: $10k to $20k"])

@@ -104,6 +104,8 @@ def draw_regions(
 def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None) -> Axes:
     """Draw one guarantee's coverage, of all samples and by group, beside its bands; of many groups the ten lowest.
 
+    Where units calibrate there are no bands.
+
     Parameters
     ----------
     diagnosis
@@ -115,18 +117,20 @@ def draw_coverage(diagnosis: Diagnosis, column: int = 0, ax: Axes | None = None)
     """
     guarantee = diagnosis.columns[column]
     ax = _new_figure(figsize=(7, coverage_height(diagnosis, column))).subplots() if ax is None else ax
-    rows, whole = guarantee.rows()[::-1], guarantee.coverage
+    rows, whole, banded = guarantee.rows()[::-1], guarantee.coverage, diagnosis.n_units is None
     for i, (_, check) in enumerate(rows):
-        ax.barh(i, check.high - check.low, left=check.low, height=0.6, color=_SET, alpha=0.5)
+        if banded:
+            ax.barh(i, check.high - check.low, left=check.low, height=0.6, color=_SET, alpha=0.5)
         ax.plot(check.coverage, i, "o" if check.inside else "X", color=_INSIDE if check.inside else _OUTSIDE)
     ax.axvline(whole.rank / (whole.n_calibration + 1), color="black", lw=0.8, ls="--")
     short = [(label if len(label) <= _LONGEST else f"{label[:_LONGEST]}…", check) for label, check in rows]
     ax.set_yticks(range(len(rows)), [f"{label} ({check.n_test})" for label, check in short], **_VERBATIM)
     ax.set_xlim(left=ax.get_xlim()[0] - 0.005, right=1.005)
     ax.set_ylim(min(-1, (len(rows) - _FEWEST_ROWS) / 2), max(len(rows), (len(rows) + _FEWEST_ROWS) / 2 - 1))
-    ax.set_xlabel("\n".join(filter(None, ["coverage (bars: bands, crosses: outside)", guarantee.rest()])), **_VERBATIM)
-    together = f"{diagnosis.level:.0%} band" + ("s, all at once" if diagnosis.n_bands > 1 else "")
-    ax.set_title(f"{guarantee.name}: coverage and {together}", fontsize="medium", **_VERBATIM)
+    what = "coverage (bars: bands, crosses: outside)" if banded else "coverage of rows; units calibrate"
+    ax.set_xlabel("\n".join(filter(None, [what, guarantee.rest()])), **_VERBATIM)
+    together = f" and {diagnosis.level:.0%} band" + ("s, all at once" if diagnosis.n_bands > 1 else "")
+    ax.set_title(f"{guarantee.name}: coverage{together * banded}", fontsize="medium", **_VERBATIM)
     return ax
 
 
