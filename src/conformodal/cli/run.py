@@ -93,10 +93,10 @@ def run(
             loaded.recalibrate(alpha)
         whole = part is Part.ALL
         lens = loaded.camera if whole and not (camera or focal) else None  # sources without calibration have no parts
-        for one in map(Path, sources) if camera or focal else ():
-            if one.is_dir() and not is_bag(one):
-                how = f"write {INTRINSICS} into it, or leave the option out: then the model's camera is assumed"
-                raise OptionError(f"--camera and --focal are for videos and devices, and {one} is a folder; {how}")
+        folders = [one for one in sources if Path(one).is_dir() and not is_bag(Path(one))]
+        if folders and (camera or focal):
+            how = f"write {INTRINSICS} into it, or leave the option out: then the model's camera is assumed"
+            raise OptionError(f"--camera and --focal are for videos and devices, and {folders[0]} is a folder; {how}")
         opened = [open_source(one, layout, topic=topic, as_trained=not whole, camera=lens) for one in sources]
         if camera or focal:
             opened = [_calibrated(loaded, source, camera, focal) for source in opened]

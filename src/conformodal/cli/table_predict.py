@@ -14,7 +14,7 @@ import typer
 from joblib import parallel_config
 
 from conformodal.conformal import ConformalRegressor
-from conformodal.conformal.tables import input_columns, output_columns, target_names
+from conformodal.conformal.tables import input_columns, output_columns
 from conformodal.core.errors import ConformodalError
 from conformodal.core.extras import require_extra
 from conformodal.core.files import check_writable_file, naming_file, remove_leftovers, replacing
@@ -64,7 +64,7 @@ def predict(
     others = [name for name in names if name not in (*needed, *copied)]
     if copied:
         report_line(f"copied: {listed(copied)}")
-    new_names = _renamed(copied, region_columns(target_names(reg.bins_)))
+    new_names = _renamed(copied, region_columns(reg.bins_.target_names))
     if renamed := [f"{name} to {new}" for name, new in new_names.items() if name != new]:
         report_line(f"note: renamed: {listed(renamed)}, as regions have columns of these names"[:_LONGEST])
     if others:

@@ -145,6 +145,11 @@ class QuantileBins:
         return len(self._edges())
 
     @property
+    def target_names(self) -> list[str]:
+        """Names of the targets; numbered where arrays were given."""
+        return self.names or [f"target {j}" for j in range(self.n_targets)]
+
+    @property
     def sizes(self) -> list[int]:
         """Bins per target, ``[K_1, ..., K_d]``."""
         return [e.size - 1 for e in self._edges()]

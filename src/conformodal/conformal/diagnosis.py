@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,8 +27,8 @@ _ASSUMPTION = (
 )
 _OF_UNITS = (
     "Units calibrate, so that rows are not exchangeable one by one: a random row of a new unit is covered with the "
-    "probability asked for, and there is no exact band. With {units} the coverage of one test may differ by several "
-    "hundredths, most where rows of a unit are alike."
+    "probability asked for, and there is no exact band. With {units} the coverage of one test varies more than with as "
+    "many single rows, most where rows of a unit are alike."
 )
 _NOT_BY_GROUP = (
     " Nothing is guaranteed for a group by itself: outside its band, its sets are too small (BELOW) or too large "
@@ -146,7 +145,7 @@ class Diagnosis:
         if any(0 < s.unbounded < 1 for s in self.sizes):
             lines.append("The mean length is that of the bounded sets.")
         for column in self.columns:
-            lines += ["", *_table(column, None if self.n_units is not None else self.level)]
+            lines += ["", *_table(column, self.level if self.n_units is None else None)]
         if len(self.names) > 1 and self.joint != "max":  # with max, the coverage above is of all targets
             least = "" if self.joint == "none" else f" (guaranteed on average: at least {1 - float(self.alpha):.4g})"
             lines += ["", f"All {len(self.names)} targets held at once: {self.joint_coverage:.3f}{least}."]
@@ -204,16 +203,16 @@ def diagnose(
         Of the test samples, if they are others than the calibrator's: rows of a kind never learnt are unbounded.
     """
     values = as_targets(y, n_targets=calibrator.bins.n_targets)
-    if isinstance(calibrator, MondrianConformal):
-        if groups is None:
-            raise ConformodalError("groups are needed to check a MondrianConformal")
-        n_units, predicted = None, partial(calibrator.predict, proba, groups)
-    else:
+    n_units = None
+    if isinstance(calibrator, SplitConformal):
         n_units = None if calibrator.units_ is None else calibrator.n_units
-        predicted = partial(calibrator.predict, proba)
-    regions = predicted() if regions is None else regions
+        regions = calibrator.predict(proba) if regions is None else regions
+    elif groups is None:
+        raise ConformodalError("groups are needed to check a MondrianConformal")
+    elif regions is None:
+        regions = calibrator.predict(proba, groups)
     inside = regions.contains(values)
-    names = tuple(calibrator.bins.names or [f"target {j}" for j in range(values.shape[1])])
+    names = tuple(calibrator.bins.target_names)
     guarantees = zip(names, inside.T, strict=True)
     if calibrator.joint == "max":
         guarantees = zip(["all targets"], [inside.all(axis=1)], strict=True)
@@ -248,9 +247,8 @@ def _column(
         f"group {label}": check_coverage(held[codes == k], of_group.get(label, 0), *law)
         for k, label in enumerate(labels)
     }
-    if (
-        isinstance(calibrator, SplitConformal) and calibrator.units_ is not None
-    ):  # the law of exchangeable samples does not apply
+    # where units calibrate, the law of exchangeable samples does not apply
+    if isinstance(calibrator, SplitConformal) and calibrator.units_ is not None:
         by_group = {label: replace(check, low=0.0, high=1.0) for label, check in by_group.items()}
         return ColumnDiagnosis(name, replace(whole, low=0.0, high=1.0), by_group)
     if isinstance(calibrator, MondrianConformal):

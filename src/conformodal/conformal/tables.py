@@ -69,11 +69,6 @@ def output_columns(targets: Sequence[str], more: Sequence[str] = ()) -> list[str
     return names
 
 
-def target_names(bins: QuantileBins) -> list[str]:
-    """Names of the targets, which arrays have none of."""
-    return bins.names or [f"target {j}" for j in range(bins.n_targets)]
-
-
 def _group_name(reg: TableRegressor) -> str | None:
     """The column of groups, by its name in a table, which is text."""
     return None if reg.group_column_ is None else str(reg.group_column_)
@@ -119,7 +114,7 @@ def region_table(reg: TableRegressor, table: Any, alpha: Alpha | None) -> Any:
     with require_extra("table", "predict_table"):
         import pyarrow as pa  # noqa: PLC0415 - an extra
 
-        output_columns(target_names(reg.bins_))
+        output_columns(reg.bins_.target_names)
         frame = as_inputs(reg, table)
     inputs, group = frame[reg.columns_], _group_name(reg)
     unlike = reg.compare_rows(inputs)
@@ -147,7 +142,7 @@ def _arrow_table(reg: TableRegressor, proba: BinProbabilities, regions: Regions)
 
     density, columns = PredictiveDensity(regions.bins, proba), {}
     mean, hull = density.mean, regions.hull
-    for j, name in enumerate(target_names(regions.bins)):
+    for j, name in enumerate(regions.bins.target_names):
         offsets, ends = regions.flat_intervals(j)
         fields = {"low": ends[:, 0], "high": ends[:, 1], "probability": density.flat_probabilities(regions, j)}
         struct = pa.StructArray.from_arrays([pa.array(values) for values in fields.values()], list(fields))

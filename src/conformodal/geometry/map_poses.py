@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -36,7 +36,7 @@ _MAX_SIGMAS = 3.0  # further off, the poses do not belong to the images
 # Chi-squared of the mount's position, three degrees of freedom: chance exceeds it once in a thousand times. Where the
 # camera hardly turns, images do not determine it: one made of noise differs between maps of one recording, and moves
 # the answers to turned images
-_SIGNIFICANT = 16.27
+_SIGNIFICANT, _MOUNT_POSITION = 16.27, slice(4, 7)  # of the unknowns
 
 MIN_PER_FRAME = 20.0  # observations, on average: with fewer, poses stay as given
 # standard deviations of the given poses at first, and the share to which a round may lower them
@@ -67,7 +67,8 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
     """The camera with the smallest epipolar errors of matches, by robust least squares.
 
     It is fitted to half of the matches. Where it does not reduce the errors of the other half, or is far from the given
-    one, the given one is returned. Delays that are out of range are left out, and the rest is judged without them.
+    one, the given one is returned. Delays that are out of range are left out, and so is a position of the mount that is
+    not significant; the rest is judged without them.
     """
     given = RigCalibration(replace(camera, distortion=()), np.eye(4))
     if len(matches.frames) < _MIN_MATCHES:
@@ -84,32 +85,35 @@ def fit_camera(matches: Matches, poses_se3: FloatArray, camera: PinholeCamera, d
         errors = _epipolar_errors_px(_rig_of(given, unknowns * spreads), fitted, poses_se3)
         return np.concatenate((errors / _SCALE_PX, unknowns))
 
-    def fit(free: IntArray) -> tuple[FloatArray, FloatArray]:
-        """The unknowns, of which these are free, and the Jacobian (m, len(free)) of the errors."""
+    def fit(columns: FloatArray) -> Any:
+        """The unknowns in these columns (k, 9); the others are zero."""
 
-        def of_free(values: FloatArray) -> FloatArray:
-            unknowns = np.zeros(9)
-            unknowns[free] = values
-            return residuals(unknowns)
+        def of_columns(values: FloatArray) -> FloatArray:
+            return residuals(values @ columns)
 
-        found = least_squares(of_free, np.zeros(len(free)), loss="cauchy", max_nfev=30)
-        unknowns = np.zeros(9)
-        unknowns[free] = found.x
-        return unknowns, np.asarray(found.jac)[: -len(unknowns)]
+        return least_squares(of_columns, np.zeros(len(columns)), loss="cauchy", max_nfev=30)
 
-    unknowns, jacobian = fit(np.arange(9))
-    errors = residuals(unknowns)[:-9]
-    noise = np.median(np.abs(errors)) / MAD_OF_NORMAL
-    information = jacobian.T @ jacobian
-    shrunk = np.linalg.inv(information + np.eye(9))
-    covariance = noise**2 * (shrunk @ information @ shrunk)[4:7, 4:7]
-    if unknowns[4:7] @ np.linalg.pinv(covariance, rcond=1e-9, hermitian=True) @ unknowns[4:7] < _SIGNIFICANT:
-        unknowns, _ = fit(np.delete(np.arange(9), (4, 5, 6)))
+    solution = fit(np.eye(9))
+    unknowns = solution.x
+    if _chi_squared_of_mount(solution) < _SIGNIFICANT:
+        columns = np.delete(np.eye(9), _MOUNT_POSITION, axis=0)
+        unknowns = fit(columns).x @ columns
     if np.abs(unknowns[7:]).max() >= _MAX_SIGMAS:
         unknowns[7:] = 0
     better = _rig_of(given, unknowns * spreads)
     before, after = (float(np.median(np.abs(_epipolar_errors_px(m, checked, poses_se3)))) for m in (given, better))
     return better if after < before and np.abs(unknowns).max() < _MAX_SIGMAS else given
+
+
+def _chi_squared_of_mount(solution: Any) -> float:
+    """Of the mount's position in a fit of all nine unknowns, whose errors scatter as they do."""
+    errors, jacobian = solution.fun[:-9], np.asarray(solution.jac)[:-9]  # the last nine are the priors'
+    noise = np.median(np.abs(errors)) / MAD_OF_NORMAL
+    information = jacobian.T @ jacobian
+    inverse = np.linalg.inv(information + np.eye(9))
+    covariance = noise**2 * (inverse @ information @ inverse)[_MOUNT_POSITION, _MOUNT_POSITION]
+    position = solution.x[_MOUNT_POSITION]
+    return float(position @ np.linalg.pinv(covariance, rcond=1e-9, hermitian=True) @ position)
 
 
 def _rig_of(given: RigCalibration, unknowns: FloatArray) -> RigCalibration:

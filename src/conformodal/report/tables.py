@@ -92,7 +92,7 @@ def draw_regions(
     reach = _MARGIN * (np.ptp(values) or 1.0)
     ax.set(xlim=(ends[0], ends[-1]), ylim=(values.min() - reach, values.max() + reach))
     ax.set_xlabel("row" if x is None else str(getattr(x, "name", None) or "feature"), **_VERBATIM)
-    ax.set_ylabel(str(regions.bins.names[target] if regions.bins.names else f"target {target}"), **_VERBATIM)
+    ax.set_ylabel(str(regions.bins.target_names[target]), **_VERBATIM)
     for axis, ends in ((ax.xaxis, at), (ax.yaxis, values)):
         if np.abs(ends).max() >= _LARGE:
             axis.set_major_formatter(EngFormatter(sep=""))

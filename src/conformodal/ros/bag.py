@@ -81,8 +81,8 @@ class BagWriter:
             if error is None:
                 self._write_path()
                 self._writer.close()
-            for written in self._folder.glob("*.mcap") if error is None and self._last_ns is not None else ():
-                written.replace(self.path)
+                for written in self._folder.glob("*.mcap") if self._last_ns is not None else ():
+                    written.replace(self.path)
         finally:
             self._writer.abort()
             self._scratch.cleanup()

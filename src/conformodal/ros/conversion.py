@@ -242,8 +242,8 @@ class Conversion:
         places = [(place.box, place.probability) for place in region.places(0)[: self._limits.max_boxes]]
         near = here - self._limits.range_m, here + self._limits.range_m
         boxes = [(box[:3], float(probability)) for box, probability in places if box is not None]
-        seen = [(box, p) for box, p in boxes if ((box[:, :1] < near[1]) & (box[:, 1:] > near[0])).all()]
-        return [(np.clip(box, *near), probability) for box, probability in seen]
+        overlap = [((box[:, :1] < near[1]) & (box[:, 1:] > near[0])).all() for box, _ in boxes]
+        return [(np.clip(box, *near), p) for (box, p), drawn in zip(boxes, overlap, strict=True) if drawn]
 
     def _status(self, estimate: Estimate, header: Any) -> Any:
         """An error for a lost frame, a warning where motion could not be used."""

@@ -570,10 +570,13 @@ def test_every_damaged_mcap_is_described(tmp_path):
         assert isinstance(describe_unopened(tmp_path / "a.mcap"), str)
 
 
-def test_files_of_one_name_in_two_recordings_have_names_of_their_own(tmp_path):
+def test_files_of_one_name_in_two_recordings_are_told_apart(tmp_path, monkeypatch):
     here, there = tmp_path / "seq-01" / "a.png", tmp_path / "seq-02" / "a.png"
     assert frame_names([here, tmp_path / "seq-01" / "b.png"]) == ["a.png", "b.png"]
     assert frame_names([here, there]) == ["seq-01/a.png", "seq-02/a.png"]
+    monkeypatch.chdir(tmp_path)
+    assert frame_names([here.relative_to(tmp_path), there]) == ["seq-01/a.png", "seq-02/a.png"]
+    assert frame_names([here, here]) == ["a.png", "a.png"]
 
 
 def test_a_live_camera_is_stamped_by_a_clock_that_is_not_set(monkeypatch):

@@ -148,8 +148,8 @@ def frame_names(paths: Sequence[Path]) -> list[str]:
     names = [path.name for path in paths]
     if len(set(names)) == len(names):
         return names
-    common = Path(os.path.commonpath(paths))
-    return [path.relative_to(common).as_posix() for path in paths]
+    common = os.path.commonpath([os.path.abspath(path.parent) for path in paths])
+    return [Path(os.path.relpath(path, common)).as_posix() for path in paths]
 
 
 def join_streams(streams: Sequence[FrameStream]) -> FrameStream:
