@@ -48,7 +48,7 @@ UNITS = {
     "camera_input": Unit("camera_input.py", 5),
     "peers": Unit("peers/run.py --measure", 80, 2),
     "growth": Unit("growth.py", 20, 2),
-    "table1": Unit("table1.py --seeds 1 --first-seed 30", 28, 2),
+    "table1": Unit("table1.py --seeds 1 --first-seed 40", 28, 2),
     "extend": Unit("extend.py --orders 3 --simulated 1000", 70),
     "monitor": Unit("monitor.py --sequences 10000", 5),
     "score_stream": Unit("score_stream.py", 1),
