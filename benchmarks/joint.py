@@ -44,10 +44,11 @@ def measured(name: str, learner: str, most_rows: int, seed: int) -> dict[str, tu
     base = QuickDensity(random_state=seed) if dense else RandomForestClassifier(min_samples_leaf=5, random_state=seed)
     proba: dict[str, list[np.ndarray]] = {"unseen": [], "cal": [], "test": []}
     for j, edges in enumerate(bins.edges_):
-        model, out_of_fold = fit_target(base, dense, X[train], Y[train, j], edges, None, True)
-        proba["unseen"].append(out_of_fold)
+        fitted = fit_target(base, dense, X[train], Y[train, j], edges, None, True)
+        assert fitted.first is not None
+        proba["unseen"].append(fitted.first)
         for part, index in (("cal", cal), ("test", test)):
-            proba[part].append(predict_proba(model, X[index]))
+            proba[part].append(predict_proba(fitted.model, X[index]))
     spread = np.where(Y[train].std(axis=0) > 0, Y[train].std(axis=0), Y.std(axis=0))  # a rare label may be in no row
     numbers = {}
     for rule in RULES:

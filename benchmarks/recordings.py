@@ -15,7 +15,9 @@ from recordings_peer import answers, build_map
 from scipy.stats import chi2
 from worlds import ALPHA, FAR_M, Laboratory, frame_by_frame, slug
 
+from conformodal.geometry import pose_targets
 from conformodal.localizer.smoother import smooth_positions
+from conformodal.pipeline.estimates import OdometryRun
 from conformodal.pipeline.estimator import odometry_of
 
 PAIRS = ("fr1_xyz from fr1_desk", "fr1_desk from fr1_xyz")
@@ -33,7 +35,8 @@ def ours(pair: str, seed: int, variant: str) -> Frames:
     """Frames of a system of this project, and CPU time of a frame of a stream, without reading the image."""
     lab = Laboratory(pair, seed)
     model = lab.model(variant)
-    frames: Frames = frame_by_frame(lab, lab.run(model))
+    run = lab.run(model)
+    frames: Frames = of_images(lab, run) if variant == PAPER else frame_by_frame(lab, run)
     odometry, spent = odometry_of(model), []
     for i in lab.answered.posed[:TIMED].tolist():
         image, began = lab.answered.image(i), time.process_time()
@@ -41,6 +44,16 @@ def ours(pair: str, seed: int, variant: str) -> Frames:
         spent.append(time.process_time() - began)
     frames["image alone"]["ms"] = 1e3 * float(np.mean(spent))
     return frames
+
+
+def of_images(lab: Laboratory, run: OdometryRun) -> Frames:
+    """Errors and regions of the paper's system, which are those of single images."""
+    truth = lab.truth(run)
+    likeliest = [e.candidates.positions_xyz[np.argmax(e.candidates.log_weights)] for e in run.estimates]
+    length = np.where(run.regions.unbounded.any(axis=1), -1.0, run.regions.length[:, :3].mean(axis=1))
+    held = run.regions.contains(pose_targets(truth, run.model.sign_reference), joint=True)
+    off = np.linalg.norm(np.array(likeliest) - truth.positions_xyz, axis=1)
+    return {"image alone": {"off_m": off.tolist(), "length_m": length.tolist(), "held": held.tolist()}}
 
 
 def peers(pair: str, seed: int) -> Frames:
