@@ -28,7 +28,7 @@ from conformodal.core.arrays import FloatArray, IntArray
 from conformodal.features.extract import FeatureCache
 from conformodal.geometry import pose_targets
 from conformodal.io import DatasetWarning, Recording, read_recording
-from conformodal.pipeline.config import ModelConfig
+from conformodal.pipeline.config import ModelConfig, OdometryError
 from conformodal.pipeline.estimator import VisualOdometry
 from conformodal.pipeline.extend import extend_model
 from conformodal.pipeline.model import ONLINE
@@ -63,13 +63,19 @@ def trained(names: tuple[str, ...], seed: int) -> dict[str, float]:
     return cached_json(KEPT / f"{'+'.join(names)}-{seed}.json", measure)
 
 
-def extended(first: str, second: str, seed: int) -> dict[str, float]:
-    """Extend the model of one recording by another and keep it; CPU seconds, and how the second was answered before."""
+def extended(first: str, second: str, seed: int) -> dict[str, Any]:
+    """Extend the model of one recording by another and keep it; CPU seconds, and how the second was answered before.
 
-    def measure() -> dict[str, float]:
+    Or why the second is refused.
+    """
+
+    def measure() -> dict[str, Any]:
         model = load_model(KEPT / f"{first}-{seed}")
         began = time.process_time()
-        grown = extend_model(model, [recording(second)])
+        try:
+            grown = extend_model(model, [recording(second)])
+        except OdometryError as exc:
+            return {"refused": str(exc)}
         seconds = time.process_time() - began
         save_model(grown, KEPT / f"{first}, then {second}-{seed}")
         [entry] = grown.journal
@@ -103,7 +109,10 @@ def order_rows(order: tuple[str, ...], seed: int) -> list[list[str]]:
     first, second, third = order
     both = tuple(name for name in FR1 if name in (first, second))
     trained((first,), seed)
-    grown, whole = extended(first, second, seed), trained(both, seed)
+    grown = extended(first, second, seed)
+    if "refused" in grown:
+        return [[third, f"{first}, extended by {second}: refused, {grown['refused']}", *[""] * 9]]
+    whole = trained(both, seed)
     rows, measured = [], {}
     for name, label, seconds in (
         (f"{first}, then {second}", f"{first}, extended by {second}", grown["cpu_s"]),
@@ -185,11 +194,8 @@ def simulation_table(n_orders: int, seed: int) -> list[str]:
 def beside_scratch(orders: list[tuple[str, ...]], seed: int) -> list[str | list[str]]:
     """The table of some orders, and a note."""
     rows = [row for order in orders for row in order_rows(order, seed)]
-    tests = [
-        json.loads(file.read_text(encoding="utf-8"))
-        for file in sorted(KEPT.glob(f"*, then *-{seed}.json"))
-        if " on " not in file.name
-    ]
+    kept = [file for file in sorted(KEPT.glob(f"*, then *-{seed}.json")) if " on " not in file.name]
+    tests = [one for one in (json.loads(file.read_text(encoding="utf-8")) for file in kept) if "coverage" in one]
     header = ["answered", "model", "CPU s", "median, mm", "RMSE, mm", "length, mm", "length by path, mm"]
     header += ["coverage", "bounded", "coverage by path", "bounded by path"]
     note = (

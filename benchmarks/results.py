@@ -49,7 +49,7 @@ UNITS = {
     "peers": Unit("peers/run.py --measure", 80, 2),
     "growth": Unit("growth.py", 20, 2),
     "table1": Unit("table1.py --seeds 1 --first-seed 40", 28, 2),
-    "extend": Unit("extend.py --orders 3 --simulated 1000", 70),
+    "extend": Unit("extend.py --simulated 1000", 40),
     "monitor": Unit("monitor.py --sequences 10000", 5),
     "score_stream": Unit("score_stream.py", 1),
     "long_stream": Unit("long_stream.py --frames 20000", 12),
