@@ -97,10 +97,8 @@ def stale_tables() -> list[str]:
     wrong = []
     for path in sorted((ROOT / "benchmarks" / "results").glob("*.md")):
         text = path.read_text(encoding="utf-8")
-        revision, script = (
-            re.search(r"source ([0-9a-f]{7,40})[, ]", text),
-            re.search(r"python (benchmarks/[\w/]+\.py)", text),
-        )
+        revision = re.search(r"source ([0-9a-f]{7,40})[, ]", text)
+        script = re.search(r"python (benchmarks/[\w/]+\.py)", text)
         if revision is None or script is None:
             wrong.append(f"{path.name}: names no clean source revision, or no script")
             continue

@@ -60,6 +60,14 @@ def test_pages_that_quote_tables_are_what_their_templates_give(template):
     assert QUOTES["faults"](text.replace(named[0], named[0].replace("; .", "; "), 1))
 
 
+def test_a_table_is_as_old_as_its_script_and_what_that_imports():
+    bench = ROOT / "benchmarks"
+    names = {path.name for path in QUOTES["imported"](bench / "accept.py")}
+    assert {"accept.py", "cameras.py", "unseen.py", "worlds.py", "common.py"} <= names
+    assert not names & {"growth.py", "recordings.py"}
+    assert bench / "common.py" in QUOTES["imported"](bench / "peers" / "run.py")
+
+
 # ---- pictures and tables that repeat what the source says
 
 
